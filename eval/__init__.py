@@ -1,0 +1,1 @@
+"""Evaluation scripts and the benchmark suite."""

@@ -1,0 +1,8 @@
+"""Frozen containers that every stage speaks."""
+
+from mocap.data.camera import Camera, CameraRig
+from mocap.data.motion import BONES, LANDMARKS, Motion, Tracks
+from mocap.data.skeleton import Skeleton
+from mocap.data.voxels import Hull, VoxelGrid
+
+__all__ = ["BONES", "LANDMARKS", "Camera", "CameraRig", "Hull", "Motion", "Skeleton", "Tracks", "VoxelGrid"]

@@ -1,0 +1,95 @@
+"""What comes out of the pipeline, and what truth is given as: landmarks and tracks over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LANDMARKS: tuple[str, ...] = (
+    "pelvis",
+    "neck",
+    "head",
+    "left_shoulder",
+    "left_elbow",
+    "left_wrist",
+    "right_shoulder",
+    "right_elbow",
+    "right_wrist",
+    "left_hip",
+    "left_knee",
+    "left_ankle",
+    "right_hip",
+    "right_knee",
+    "right_ankle",
+)
+
+# Bones of the stick figure, as pairs of landmark names.
+BONES: tuple[tuple[str, str], ...] = (
+    ("pelvis", "neck"),
+    ("neck", "head"),
+    ("neck", "left_shoulder"),
+    ("left_shoulder", "left_elbow"),
+    ("left_elbow", "left_wrist"),
+    ("neck", "right_shoulder"),
+    ("right_shoulder", "right_elbow"),
+    ("right_elbow", "right_wrist"),
+    ("pelvis", "left_hip"),
+    ("left_hip", "left_knee"),
+    ("left_knee", "left_ankle"),
+    ("pelvis", "right_hip"),
+    ("right_hip", "right_knee"),
+    ("right_knee", "right_ankle"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Landmarks of one person over time.
+
+    frames : (T,) int64, ascending.  time_s : (T,).  landmarks : (T, 15, 3) m, world, order LANDMARKS, NaN =
+    unknown.  std : (T, 15, 3) m or None.  observed : (T, 15) bool or None.
+    """
+
+    person: int
+    frames: NDArray[np.int64]
+    time_s: Array
+    landmarks: Array
+    std: Array | None = None
+    observed: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        expected = (len(self.frames), len(LANDMARKS), 3)
+        if self.landmarks.shape != expected:
+            raise ValueError(f"landmarks has shape {self.landmarks.shape}, expected {expected}")
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Positions of persons over time as one table, rows sorted by frame, then person.
+
+    frame : (M,) int64.  person : (M,) int64.  time_s : (M,).  xyz : (M, 3) m, world, volume centroid.
+    """
+
+    frame: NDArray[np.int64]
+    person: NDArray[np.int64]
+    time_s: Array
+    xyz: Array
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def persons(self) -> tuple[int, ...]:
+        return tuple(int(p) for p in np.unique(self.person))
+
+    def of(self, person: int) -> Tracks:
+        """The rows of one person."""
+        rows = self.person == person
+        return Tracks(self.frame[rows], self.person[rows], self.time_s[rows], self.xyz[rows])

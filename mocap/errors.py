@@ -1,0 +1,44 @@
+"""The one error class of the project: what went wrong, where, and what to do about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class MocapError(Exception):
+    """A user's mistake or a bad file: one clear message with file, camera, frame and remedy.
+
+    The command line prints `str(error)` and exits with code 2; library users may read the parts.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        remedy: str = "",
+        path: Path | str | None = None,
+        camera: str | None = None,
+        frame: int | None = None,
+    ) -> None:
+        self.message = message
+        self.remedy = remedy
+        self.path = None if path is None else Path(path)
+        self.camera = camera
+        self.frame = frame
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        where = []
+        if self.path is not None:
+            where.append(f"file {self.path}")
+        if self.camera is not None:
+            where.append(f"camera {self.camera}")
+        if self.frame is not None:
+            where.append(f"frame {self.frame}")
+        text = self.message.rstrip(".")
+        if where:
+            text += f" ({', '.join(where)})"
+        text += "."
+        if self.remedy:
+            text += f" Remedy: {self.remedy.rstrip('.')}."
+        return text

@@ -1,0 +1,1 @@
+"""Projection, epipolar geometry, rotations and twists on plain arrays."""

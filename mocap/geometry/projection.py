@@ -1,0 +1,103 @@
+"""Pinhole and fisheye projection of world points, and back.
+
+World frame: metres, z up. Camera frame: x right, y down, z forward (OpenCV). Pixels are (column, row) with the
+centre of the first pixel at (0, 0), as OpenCV counts them. Distortion formulas are OpenCV's; what is added here
+is the limit of validity: a radial polynomial folds back beyond some radius, and a point out there must not
+appear inside the picture.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Nearest depth that projects. Closer points are numerically at the optical centre.
+MIN_DEPTH_M = 1e-6
+_MAX_TAN = 50.0  # search limit for the fold: tan(88.9 deg)
+
+
+def max_normalised_radius(dist: Array, is_fisheye: bool) -> float:
+    """Largest undistorted normalised radius up to which the radial distortion is monotonic.
+
+    dist : (n,) OpenCV coefficients (k1, k2, p1, p2[, k3[, k4, k5, k6]]) or fisheye (k1, k2, k3, k4).
+    Returns tan(angle) for pinhole models and the angle itself (rad) for fisheye; `inf` when it never folds.
+    Source: CF Eq. 2.7-2.8 with the radial term of reading guide 1 (k2 r^4).
+    """
+    d = np.zeros(8)
+    d[: min(len(dist), 8)] = np.asarray(dist, dtype=np.float64)[:8]
+    if is_fisheye:
+        theta = np.linspace(0.0, np.pi, 2001)
+        t2 = theta**2
+        slope = 1 + t2 * (3 * d[0] + t2 * (5 * d[1] + t2 * (7 * d[2] + t2 * 9 * d[3])))
+        bad = np.flatnonzero(slope <= 0)
+        return float(theta[bad[0]]) if bad.size else float("inf")
+    k1, k2, k3, k4, k5, k6 = d[0], d[1], d[4], d[5], d[6], d[7]
+    r = np.concatenate([np.linspace(0.0, 3.0, 6001), np.geomspace(3.0, _MAX_TAN, 500)[1:]])
+    r2 = r * r
+    scaled = r * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    bad = np.flatnonzero(np.diff(scaled) <= 0)
+    return float(r[bad[0]]) if bad.size else float("inf")
+
+
+def project_points(
+    points_world: Array,
+    K: Array,
+    dist: Array,
+    R: Array,
+    t: Array,
+    *,
+    is_fisheye: bool = False,
+) -> tuple[Array, Array]:
+    """Pixels and depths of world points.
+
+    points_world : (..., 3) m, world.  K : (3, 3) px.  dist : (n,).  R : (3, 3), t : (3,) m, world to camera.
+    Returns uv (..., 2) px and depth (...,) m. Points behind the camera, beyond the fold of the distortion, or
+    NaN give uv = NaN (their depth is still given).
+    Source: CF Eq. 2.1-2.8.
+    """
+    points = np.asarray(points_world, dtype=np.float64)
+    flat = points.reshape(-1, 3)
+    cam = flat @ R.T + t
+    depth = cam[:, 2].copy()
+    uv = np.full((len(flat), 2), np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        radius = np.hypot(cam[:, 0], cam[:, 1])
+        reach = np.arctan2(radius, depth) if is_fisheye else radius / depth
+        ok = (depth > MIN_DEPTH_M) & (reach <= max_normalised_radius(dist, is_fisheye))
+    if ok.any():
+        zero = np.zeros(3)
+        good = np.ascontiguousarray(cam[ok]).reshape(-1, 1, 3)
+        if is_fisheye:
+            coefficients = np.zeros(4)
+            coefficients[: min(4, len(dist))] = dist[:4]
+            projected, _ = cv2.fisheye.projectPoints(good, zero, zero, K, coefficients)
+        else:
+            projected, _ = cv2.projectPoints(good, zero, zero, K, np.asarray(dist, dtype=np.float64))
+        uv[ok] = projected.reshape(-1, 2)
+    return uv.reshape(*points.shape[:-1], 2), depth.reshape(points.shape[:-1])
+
+
+def rays_from_pixels(uv: Array, K: Array, dist: Array, R: Array, *, is_fisheye: bool = False) -> Array:
+    """Unit viewing directions in the world frame through pixels.
+
+    uv : (..., 2) px. Returns (..., 3), unit length, pointing away from the camera; NaN pixels give NaN.
+    """
+    pixels = np.asarray(uv, dtype=np.float64)
+    flat = pixels.reshape(-1, 1, 2)
+    if flat.shape[0] == 0:
+        return np.zeros((*pixels.shape[:-1], 3))
+    if is_fisheye:
+        coefficients = np.zeros(4)
+        coefficients[: min(4, len(dist))] = dist[:4]
+        normalised = cv2.fisheye.undistortPoints(flat, K, coefficients)
+    else:
+        criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-12)
+        normalised = cv2.undistortPoints(
+            flat, K, np.asarray(dist, dtype=np.float64), None, None, None, criteria
+        )
+    cam = np.column_stack([normalised.reshape(-1, 2), np.ones(len(flat))])
+    cam /= np.linalg.norm(cam, axis=1, keepdims=True)
+    return (cam @ R).reshape(*pixels.shape[:-1], 3)
