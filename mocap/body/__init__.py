@@ -1,1 +1,26 @@
-"""body stage."""
+"""The body: kinematic tree, flesh, sizes, first pose."""
+
+from mocap.body.flesh import LookUpTable, build_look_up_table
+from mocap.body.kinematics import (
+    cones_of,
+    joint_transforms,
+    landmarks_of,
+    neutral_state,
+    skeleton_of,
+)
+from mocap.body.model import Body, BodyModel, body_presets, load_body_model, scale_body
+
+__all__ = [
+    "Body",
+    "BodyModel",
+    "LookUpTable",
+    "body_presets",
+    "build_look_up_table",
+    "cones_of",
+    "joint_transforms",
+    "landmarks_of",
+    "load_body_model",
+    "neutral_state",
+    "scale_body",
+    "skeleton_of",
+]

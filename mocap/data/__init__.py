@@ -2,7 +2,20 @@
 
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.motion import BONES, LANDMARKS, Motion, Tracks
+from mocap.data.problem import ArticulatedProblem, StateLayout
 from mocap.data.skeleton import Skeleton
 from mocap.data.voxels import Hull, VoxelGrid
 
-__all__ = ["BONES", "LANDMARKS", "Camera", "CameraRig", "Hull", "Motion", "Skeleton", "Tracks", "VoxelGrid"]
+__all__ = [
+    "BONES",
+    "LANDMARKS",
+    "ArticulatedProblem",
+    "Camera",
+    "CameraRig",
+    "Hull",
+    "Motion",
+    "Skeleton",
+    "StateLayout",
+    "Tracks",
+    "VoxelGrid",
+]

@@ -1,1 +1,28 @@
-"""filters stage."""
+"""Pose filters as functions on an articulated problem; they know no body and no image."""
+
+from collections.abc import Callable
+
+from mocap.filters.apf import (
+    ApfSettings,
+    FilterInfo,
+    ParticleState,
+    apf_step,
+    initial_particles,
+    sir_step,
+)
+
+FilterStep = Callable[..., tuple[ParticleState, FilterInfo]]
+
+# Every pose filter by the name that the command line takes.
+FILTERS: dict[str, FilterStep] = {"sir": sir_step, "apf": apf_step}
+
+__all__ = [
+    "FILTERS",
+    "ApfSettings",
+    "FilterInfo",
+    "FilterStep",
+    "ParticleState",
+    "apf_step",
+    "initial_particles",
+    "sir_step",
+]

@@ -1,1 +1,23 @@
-"""likelihood stage."""
+"""How well a pose explains the data of a frame; all give per-part log-likelihoods."""
+
+from mocap.likelihood.problem import VoxelProblem
+from mocap.likelihood.voxels import (
+    PackedVolume,
+    PartScores,
+    VoxelLikelihoodSettings,
+    factorised_log_likelihood,
+    global_log_likelihood,
+    part_scores,
+    part_scores_numpy,
+)
+
+__all__ = [
+    "PackedVolume",
+    "PartScores",
+    "VoxelLikelihoodSettings",
+    "VoxelProblem",
+    "factorised_log_likelihood",
+    "global_log_likelihood",
+    "part_scores",
+    "part_scores_numpy",
+]

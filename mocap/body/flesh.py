@@ -1,0 +1,133 @@
+"""Flesh: truncated cones as look-up tables of points (CF 6.11), and distances to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body.kinematics import joint_transforms
+from mocap.body.model import Body
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LookUpTable:
+    """Points of the flesh in joint frames, grouped into segments (one joint and one part each).
+
+    points : (M, 3) float32, m, in the segment's joint frame; within a segment surface points come first.
+    start : (S + 1,) first point of each segment.  n_surface : (S,) surface points of each segment.
+    joint, part : (S,).  spacing_m : side of the lattice.
+    center : (S, 3) m and radius : (S,) m, bounding sphere of each segment in its joint's frame.
+    """
+
+    points: NDArray[np.float32]
+    start: NDArray[np.int64]
+    n_surface: NDArray[np.int64]
+    joint: NDArray[np.int64]
+    part: NDArray[np.int64]
+    spacing_m: float
+    center: Array
+    radius: Array
+
+    @property
+    def part_sizes(self) -> NDArray[np.int64]:
+        """Points of each part, (P,)."""
+        return np.bincount(self.part, weights=np.diff(self.start)).astype(np.int64)
+
+
+def cone_distances(points: Array, start: Array, end: Array, radii: Array, round_ends: bool) -> Array:
+    """Distance of points to the side of truncated cones: negative inside, positive outside.
+
+    points : (M, 3), start, end : (K, 3), radii : (K, 2), one frame, m. Returns (M, K). With round_ends the
+    nearest axis point is clamped to the axis, which closes the cone with spheres; otherwise points beyond
+    the flat ends get at least their distance to the end plane. The radius is taken at the foot of the
+    perpendicular, so for a taper of angle a the value is 1 / cos(a) too large (< 1 % for limbs).
+    """
+    axis = end - start
+    length = np.linalg.norm(axis, axis=1)
+    safe = np.maximum(length, 1e-12)
+    unit = axis / safe[:, None]
+    along = np.einsum("mkc,kc->mk", points[:, None, :] - start[None], unit) / safe
+    clamped = np.clip(along, 0.0, 1.0)
+    foot = start[None] + clamped[..., None] * axis[None]
+    radius = radii[:, 0] + clamped * (radii[:, 1] - radii[:, 0])
+    distance = np.linalg.norm(points[:, None, :] - foot, axis=2) - radius
+    if round_ends:
+        return distance
+    beyond = np.maximum(-along, along - 1.0) * length
+    unclamped_foot = start[None] + along[..., None] * axis[None]
+    lateral = np.linalg.norm(points[:, None, :] - unclamped_foot, axis=2) - radius
+    return np.where(beyond > 0, np.maximum(beyond, lateral), lateral)
+
+
+def build_look_up_table(body: Body, spacing_m: float) -> LookUpTable:
+    """Sample the flesh on a lattice of the given side in the rest pose.
+
+    Source: CF Eq. 6.11; spacing_m / voxel size is the density factor of CF Eq. 6.26. A point counts as surface
+    when a 6-neighbour of it lies outside the whole body in the rest pose, so that joints inside the body are
+    no surface. With `body.exclusive` a point inside several parts belongs to the one it lies deepest in.
+    Raises ValueError when a part is too thin to hold one point.
+    """
+    if not spacing_m > 0:
+        raise ValueError(f"spacing_m must be positive, got {spacing_m}")
+    rest = np.zeros((1, body.layout.n_columns))
+    R, t = joint_transforms(body, rest)
+    cones = body.cones
+    Rk, tk = R[0, cones.joint], t[0, cones.joint]
+    start = np.einsum("krc,kc->kr", Rk, cones.start) + tk
+    end = np.einsum("krc,kc->kr", Rk, cones.end) + tk
+    reach = cones.radii.max(axis=1)[:, None]
+    lower = np.minimum(start, end) - reach
+    upper = np.maximum(start, end) + reach
+    n = np.ceil((upper.max(axis=0) - lower.min(axis=0)) / spacing_m).astype(int) + 4
+    origin = lower.min(axis=0) - 1.5 * spacing_m
+    index = np.indices(tuple(n)).reshape(3, -1).T
+    points = origin + index * spacing_m
+    distance = np.full((len(points), len(cones.joint)), np.inf)
+    for k in range(len(cones.joint)):
+        near = np.all((points >= lower[k] - 1e-9) & (points <= upper[k] + 1e-9), axis=1)
+        distance[near, k] = cone_distances(
+            points[near], start[k : k + 1], end[k : k + 1], cones.radii[k : k + 1], body.round_ends
+        )[:, 0]
+    inside = distance <= 0
+    solid = inside.any(axis=1).reshape(tuple(n))
+    core = solid.copy()
+    for axis in range(3):
+        core &= np.roll(solid, 1, axis) & np.roll(solid, -1, axis)
+    surface = (solid & ~core).ravel()
+    if body.exclusive:
+        # Depth relative to the cone's radius decides, so that thick parts do not swallow thin ones.
+        relative = np.where(inside, distance / cones.radii.max(axis=1), np.inf)
+        owner = relative.argmin(axis=1)
+        inside &= np.arange(len(cones.joint)) == owner[:, None]
+
+    tables, starts, n_surface, joints, parts, centers, radii = [], [0], [], [], [], [], []
+    pairs = list(dict.fromkeys(zip(cones.part.tolist(), cones.joint.tolist(), strict=True)))
+    for part, joint in sorted(pairs, key=lambda pair: pair[0]):
+        member = inside[:, (cones.part == part) & (cones.joint == joint)].any(axis=1)
+        if not member.any():
+            raise ValueError(f"part {body.layout.parts[part]} is too thin for a spacing of {spacing_m} m")
+        rows = np.flatnonzero(member)
+        rows = rows[np.argsort(~surface[rows], kind="stable")]
+        local = (points[rows] - t[0, joint]) @ R[0, joint]
+        center = 0.5 * (local.min(axis=0) + local.max(axis=0))
+        tables.append(local.astype(np.float32))
+        starts.append(starts[-1] + len(rows))
+        n_surface.append(int(surface[rows].sum()))
+        joints.append(joint)
+        parts.append(part)
+        centers.append(center)
+        radii.append(np.linalg.norm(local - center, axis=1).max())
+    return LookUpTable(
+        points=np.concatenate(tables),
+        start=np.array(starts, dtype=np.int64),
+        n_surface=np.array(n_surface, dtype=np.int64),
+        joint=np.array(joints, dtype=np.int64),
+        part=np.array(parts, dtype=np.int64),
+        spacing_m=float(spacing_m),
+        center=np.array(centers),
+        radius=np.array(radii),
+    )

@@ -1,0 +1,116 @@
+"""Forward kinematics: joint transforms, landmarks and flesh of a state."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body._kernels import transforms_kernel
+from mocap.body.model import Body
+from mocap.data.skeleton import Skeleton
+from mocap.geometry.rigid import matrix_from_twist
+
+Array = NDArray[np.float64]
+
+
+def joint_transforms(body: Body, states: Array) -> tuple[Array, Array]:
+    """World transforms of every joint frame.
+
+    states : (N, D). Returns R (N, J, 3, 3) and t (N, J, 3) m with x_world = R x_joint + t.
+    Source: CF Eq. 6.1.
+    """
+    s = np.ascontiguousarray(states, dtype=np.float64)
+    if s.ndim != 2 or s.shape[1] != body.layout.n_columns:
+        raise ValueError(f"states has shape {s.shape}, expected (N, {body.layout.n_columns})")
+    R = np.empty((len(s), len(body.joints), 3, 3))
+    t = np.empty((len(s), len(body.joints), 3))
+    transforms_kernel(s, *body.chain, R, t)
+    return R, t
+
+
+def transforms_by_exponentials(body: Body, state: Array) -> tuple[Array, Array]:
+    """The same for one state (D,) as products of exponentials of twists, the way CF writes it; slow.
+
+    Every rotation is a twist about the joint's position in the rest pose; the chain's twists are multiplied
+    from the root outwards (their order matters, reading guide 18).
+    Source: CF Eq. A.10.
+    """
+    J = len(body.joints)
+    rest = np.zeros((J, 3))
+    for j in range(J):
+        p = int(body.parent[j])
+        rest[j] = body.offset[j] + (rest[p] if p >= 0 else 0.0)
+    product = np.zeros((J, 4, 4))
+    for j in range(J):
+        p = int(body.parent[j])
+        T = np.eye(4) if p < 0 else product[p].copy()
+        if p < 0:
+            T[:3, 3] = state[:3]
+        for d in np.flatnonzero(body.dof_joint == j):
+            axis = np.eye(3)[body.dof_axis[d]]
+            T = T @ matrix_from_twist(axis, rest[j], float(state[body.dof_column[d]]))
+        product[j] = T
+    R = product[:, :3, :3]
+    t = np.einsum("jrc,jc->jr", R, rest) + product[:, :3, 3]
+    return R, t
+
+
+def landmarks_of(body: Body, states: Array) -> Array:
+    """Landmarks of states: (N, D) -> (N, 15, 3) m, world, in the order of LANDMARKS."""
+    R, t = joint_transforms(body, states)
+    j = body.landmark_joint
+    return np.einsum("nlrc,lc->nlr", R[:, j], body.landmark_offset) + t[:, j]
+
+
+def cones_of(body: Body, state: Array) -> tuple[Array, Array]:
+    """End points of the flesh cones in one pose.  state : (D,). Returns start, end, each (K, 3) m, world."""
+    R, t = joint_transforms(body, np.asarray(state, dtype=np.float64)[None])
+    Rk, tk = R[0, body.cones.joint], t[0, body.cones.joint]
+    start = np.einsum("krc,kc->kr", Rk, body.cones.start) + tk
+    end = np.einsum("krc,kc->kr", Rk, body.cones.end) + tk
+    return start, end
+
+
+def neutral_state(body: Body) -> Array:
+    """A relaxed standing pose: legs straight, arms hanging, facing +x, root at hip height.  Returns (D,)."""
+    state = np.zeros(body.layout.n_columns)
+    for name, value in (
+        ("right_shoulder_x", 1.40),
+        ("left_shoulder_x", -1.40),
+        ("right_elbow_z", 0.25),
+        ("left_elbow_z", -0.25),
+    ):
+        if name in body.layout.names:
+            state[body.layout.names.index(name)] = value
+    ends = cones_of(body, state)
+    lowest = min(float((e[:, 2] - body.cones.radii[:, i]).min()) for i, e in enumerate(ends))
+    state[2] = -lowest
+    return np.clip(state, body.layout.lower, body.layout.upper)
+
+
+def skeleton_of(body: Body, states: Array, person: int) -> Skeleton:
+    """The states as an animated skeleton for export.  states : (T, D)."""
+    R, t = joint_transforms(body, states)
+    local = R.copy()
+    for j in range(len(body.joints)):
+        p = int(body.parent[j])
+        if p >= 0:
+            local[:, j] = np.einsum("trc,trk->tck", R[:, p], R[:, j])
+    leaves = set(range(len(body.joints))) - {int(p) for p in body.parent}
+    ends: dict[int, Array] = {}
+    for leaf in leaves:
+        tips = body.cones.end[body.cones.joint == leaf]
+        landmark_tips = body.landmark_offset[body.landmark_joint == leaf]
+        candidates = np.concatenate([tips, landmark_tips]) if len(tips) else landmark_tips
+        if len(landmark_tips) and np.linalg.norm(landmark_tips, axis=1).max() > 0:
+            candidates = landmark_tips  # ankles, wrists, top of the head: what people know by name
+        ends[leaf] = candidates[np.argmax(np.linalg.norm(candidates, axis=1))]
+    return Skeleton(
+        person=person,
+        names=body.joints,
+        parents=body.parent.copy(),
+        offsets=body.offset.copy(),
+        end_offsets=ends,
+        rotations=local,
+        root_position=t[:, 0].copy(),
+    )

@@ -1,0 +1,300 @@
+"""Bodies as data: the schema of a body file, and the body of one person scaled from it."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mocap.data.motion import LANDMARKS
+from mocap.data.problem import StateLayout
+from mocap.errors import MocapError
+
+Array = NDArray[np.float64]
+
+MAX_PARTS = 15  # the likelihood's stamp grid keeps a part's number in four bits
+_AXES = {"x": 0, "y": 1, "z": 2}
+_Vector = tuple[float, float, float]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class DofSpec(_Strict):
+    """One rotation of a joint."""
+
+    name: str
+    axis: Literal["x", "y", "z"]
+    limits: tuple[float, float]
+    """Legal range, rad. Source: CF Table 6.1."""
+    speed: float = Field(gt=0)
+    """Largest expected angular speed, rad/s; half of it over one frame is the propagation noise (CF 3.2.2)."""
+    circular: bool = False
+
+
+class JointSpec(_Strict):
+    """A joint: where it sits in its parent's frame and how it turns."""
+
+    name: str
+    parent: str = ""
+    offset: _Vector
+    """Fractions of the standing height, in the parent's frame."""
+    translation_speed: _Vector | None = None
+    """Only at the root: largest expected speed along x, y, z, m/s."""
+    dofs: tuple[DofSpec, ...] = ()
+
+
+class ConeSpec(_Strict):
+    """A truncated cone of flesh; lengths are fractions of the standing height."""
+
+    joint: str
+    start: _Vector = Field(alias="from")
+    end: _Vector = Field(alias="to")
+    radii: tuple[float, float]
+
+
+class PartSpec(_Strict):
+    """A rigid or nearly rigid part: what the likelihood scores."""
+
+    name: str
+    parent: str = ""
+    side: Literal["left", "right", "middle"]
+    variance: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    """Factors on the variances of (out, double occupancy, empty, surface). Source: CF Table 6.2."""
+    cones: tuple[ConeSpec, ...]
+
+
+class LandmarkSpec(_Strict):
+    joint: str
+    offset: _Vector
+
+
+class BodyModel(_Strict):
+    """A scalable body as its file describes it."""
+
+    name: str
+    source: str = ""
+    round_ends: bool = False
+    exclusive: bool = False
+    joint: tuple[JointSpec, ...]
+    part: tuple[PartSpec, ...]
+    landmarks: dict[str, LandmarkSpec]
+
+
+@dataclass(frozen=True, eq=False)
+class Cones:
+    """Flesh in joint frames.  start, end : (K, 3) m; radii : (K, 2) m; joint, part : (K,) indices."""
+
+    start: Array
+    end: Array
+    radii: Array
+    joint: NDArray[np.int64]
+    part: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """The body of one person: a kinematic tree in metres with flesh.
+
+    joints : J names.  parent : (J,).  offset : (J, 3) m in the parent's frame.
+    dof_joint, dof_axis, dof_column : one row per rotation, in the order of application.
+    layout : columns of the state; 0..2 are the root's position, m; the rest are rad.
+    max_speed : (D,) largest expected speed per column, m/s or rad/s.
+    landmark_joint : (15,), landmark_offset : (15, 3) m in the joint's frame.
+    variance : (P, 4) factors of CF Table 6.2.
+    """
+
+    name: str
+    height_m: float
+    joints: tuple[str, ...]
+    parent: NDArray[np.int64]
+    offset: Array
+    dof_joint: NDArray[np.int64]
+    dof_axis: NDArray[np.int64]
+    dof_column: NDArray[np.int64]
+    layout: StateLayout
+    max_speed: Array
+    landmark_joint: NDArray[np.int64]
+    landmark_offset: Array
+    cones: Cones
+    variance: Array
+    part_sides: tuple[str, ...]
+    round_ends: bool
+    exclusive: bool
+
+    @property
+    def chain(self) -> tuple[Array, ...]:
+        """The arrays that the kinematics kernels take, in their order."""
+        return self.parent, self.offset, self.dof_joint, self.dof_axis, self.dof_column
+
+
+def body_presets() -> tuple[str, ...]:
+    """Names of the bodies that come with the package."""
+    folder = resources.files("mocap.body") / "presets"
+    return tuple(sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")))
+
+
+def load_body_model(name_or_path: str | Path) -> BodyModel:
+    """Read a body file: a preset's name (`anthropometric`, `thesis`) or a path to a TOML file.
+
+    Raises MocapError with the dotted path of the first offending key.
+    """
+    if str(name_or_path) in body_presets():
+        text = (resources.files("mocap.body") / "presets" / f"{name_or_path}.toml").read_text("utf-8")
+        path = Path(f"{name_or_path}.toml")
+    else:
+        path = Path(name_or_path)
+        try:
+            text = path.read_text("utf-8")
+        except OSError as error:
+            raise MocapError(
+                f"cannot read the body file: {error.strerror}",
+                path=path,
+                remedy=f"give a TOML file or one of the presets {', '.join(body_presets())}",
+            ) from error
+    try:
+        model = BodyModel.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise MocapError(f"not a TOML file: {error}", path=path, remedy="correct the syntax") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        dotted = ".".join(str(p) for p in first["loc"])
+        raise MocapError(
+            f"body file: {dotted}: {first['msg']}", path=path, remedy="see docs/bodies.md for the schema"
+        ) from error
+    _check_tree(model, path)
+    return model
+
+
+def _check_tree(model: BodyModel, path: Path) -> None:
+    def fail(message: str) -> None:
+        raise MocapError(f"body file: {message}", path=path, remedy="see docs/bodies.md for the schema")
+
+    seen: set[str] = set()
+    for i, joint in enumerate(model.joint):
+        if joint.name in seen:
+            fail(f"joint {joint.name} is defined twice")
+        if (i == 0) != (joint.parent == ""):
+            fail(f"joint {joint.name}: exactly the first joint has no parent")
+        if joint.parent and joint.parent not in seen:
+            fail(f"joint {joint.name}: parent {joint.parent} must be defined before it")
+        if (joint.translation_speed is not None) != (i == 0):
+            fail(f"joint {joint.name}: exactly the first joint has translation_speed")
+        seen.add(joint.name)
+    if not model.joint:
+        fail("there is no joint")
+    names = [d.name for j in model.joint for d in j.dofs]
+    if len(set(names)) != len(names):
+        fail("names of dofs are not unique")
+    parts: set[str] = set()
+    for i, part in enumerate(model.part):
+        if (i == 0) != (part.parent == "") or (part.parent and part.parent not in parts):
+            fail(f"part {part.name}: parents come first, and only the first part has none")
+        if part.name in parts:
+            fail(f"part {part.name} is defined twice")
+        if not part.cones:
+            fail(f"part {part.name} has no cones")
+        for cone in part.cones:
+            if cone.joint not in seen:
+                fail(f"part {part.name}: cone on unknown joint {cone.joint}")
+            if min(cone.radii) <= 0:
+                fail(f"part {part.name}: radii must be positive")
+        parts.add(part.name)
+    if not 1 <= len(model.part) <= MAX_PARTS:
+        fail(f"{len(model.part)} parts; 1 to {MAX_PARTS} are supported")
+    for name, landmark in model.landmarks.items():
+        if landmark.joint not in seen:
+            fail(f"landmark {name}: unknown joint {landmark.joint}")
+    missing = [n for n in LANDMARKS if n not in model.landmarks]
+    if missing:
+        fail(f"landmarks missing: {', '.join(missing)}")
+
+
+def scale_body(model: BodyModel, height_m: float) -> Body:
+    """The body of a person of the given standing height: every length is proportional to it.
+
+    Raises ValueError for a height that is not positive and finite.
+    Source: CF 6.3.4, Table 6.1.
+    """
+    if not (math.isfinite(height_m) and height_m > 0):
+        raise ValueError(f"height_m must be positive, got {height_m}")
+    joints = tuple(j.name for j in model.joint)
+    index = {name: i for i, name in enumerate(joints)}
+    parts = tuple(p.name for p in model.part)
+    part_index = {name: i for i, name in enumerate(parts)}
+    parent = np.array([index.get(j.parent, -1) for j in model.joint], dtype=np.int64)
+    offset = np.array([j.offset for j in model.joint]) * height_m
+
+    names = ["root_x", "root_y", "root_z"]
+    lower = [-math.inf] * 3
+    upper = [math.inf] * 3
+    speed = list(model.joint[0].translation_speed or (1.0, 1.0, 1.0))
+    circular = [False] * 3
+    dof_joint, dof_axis, column_joint = [], [], [0, 0, 0]
+    for j, joint in enumerate(model.joint):
+        for dof in joint.dofs:
+            names.append(dof.name)
+            lower.append(-math.inf if dof.circular else dof.limits[0])
+            upper.append(math.inf if dof.circular else dof.limits[1])
+            speed.append(dof.speed)
+            circular.append(dof.circular)
+            dof_joint.append(j)
+            dof_axis.append(_AXES[dof.axis])
+            column_joint.append(j)
+
+    cones = [(c, part_index[p.name]) for p in model.part for c in p.cones]
+    # A column belongs to the first part whose flesh it moves.
+    part_of_column = []
+    for j in column_joint:
+        moved = [p for c, p in cones if _is_ancestor(parent, j, index[c.joint])]
+        part_of_column.append(min(moved) if moved else 0)
+    layout = StateLayout(
+        names=tuple(names),
+        lower=np.array(lower),
+        upper=np.array(upper),
+        is_circular=np.array(circular),
+        parts=parts,
+        part_of_column=np.array(part_of_column, dtype=np.int64),
+        parent_of_part=np.array([part_index.get(p.parent, -1) for p in model.part], dtype=np.int64),
+    )
+    return Body(
+        name=model.name,
+        height_m=float(height_m),
+        joints=joints,
+        parent=parent,
+        offset=offset,
+        dof_joint=np.array(dof_joint, dtype=np.int64),
+        dof_axis=np.array(dof_axis, dtype=np.int64),
+        dof_column=np.arange(3, len(names), dtype=np.int64),
+        layout=layout,
+        max_speed=np.array(speed),
+        landmark_joint=np.array([index[model.landmarks[n].joint] for n in LANDMARKS], dtype=np.int64),
+        landmark_offset=np.array([model.landmarks[n].offset for n in LANDMARKS]) * height_m,
+        cones=Cones(
+            start=np.array([c.start for c, _ in cones]) * height_m,
+            end=np.array([c.end for c, _ in cones]) * height_m,
+            radii=np.array([c.radii for c, _ in cones]) * height_m,
+            joint=np.array([index[c.joint] for c, _ in cones], dtype=np.int64),
+            part=np.array([p for _, p in cones], dtype=np.int64),
+        ),
+        variance=np.array([p.variance for p in model.part]),
+        part_sides=tuple(p.side for p in model.part),
+        round_ends=model.round_ends,
+        exclusive=model.exclusive,
+    )
+
+
+def _is_ancestor(parent: NDArray[np.int64], ancestor: int, joint: int) -> bool:
+    while joint >= 0:
+        if joint == ancestor:
+            return True
+        joint = int(parent[joint])
+    return False

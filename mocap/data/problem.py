@@ -1,0 +1,76 @@
+"""The articulated problem: what every pose filter sees, and all that it sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class StateLayout:
+    """Columns of the state and the tree of parts they belong to.
+
+    names : D column names.  lower, upper : (D,) bounds (infinite where there are none).
+    is_circular : (D,) bool, columns that are angles without bounds, defined modulo 2 pi.
+    parts : P part names, parents first.  part_of_column : (D,) index of the part that a column moves first.
+    parent_of_part : (P,) index, -1 for the root part.
+    """
+
+    names: tuple[str, ...]
+    lower: Array
+    upper: Array
+    is_circular: NDArray[np.bool_]
+    parts: tuple[str, ...]
+    part_of_column: NDArray[np.int64]
+    parent_of_part: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        D, P = len(self.names), len(self.parts)
+        for name, shape in (
+            ("lower", (D,)),
+            ("upper", (D,)),
+            ("is_circular", (D,)),
+            ("part_of_column", (D,)),
+            ("parent_of_part", (P,)),
+        ):
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
+        if not np.all(self.lower <= self.upper):
+            raise ValueError("a lower bound lies above its upper bound")
+        if P and (self.parent_of_part[0] != -1 or np.any(self.parent_of_part[1:] >= np.arange(1, P))):
+            raise ValueError("parts must form a tree with parents listed before their children")
+
+    @property
+    def n_columns(self) -> int:
+        return len(self.names)
+
+    @property
+    def n_parts(self) -> int:
+        return len(self.parts)
+
+    def columns_of(self, part: int) -> NDArray[np.int64]:
+        """Columns that belong to one part."""
+        return np.flatnonzero(self.part_of_column == part)
+
+
+class ArticulatedProblem(Protocol):
+    """A state space with a motion model and a likelihood that knows its parts.
+
+    Everything a filter needs and nothing else: no body, no image, no clock.
+    """
+
+    @property
+    def layout(self) -> StateLayout: ...
+
+    def propagate(self, particles: Array, std: Array, *, rng: np.random.Generator) -> Array:
+        """A random-walk step inside the bounds.  particles : (N, D); std : (D,). Returns (N, D)."""
+        ...
+
+    def log_likelihood(self, particles: Array) -> Array:
+        """Per-part log-likelihoods of particles (N, D): (N, P), or (N, 1) for a global likelihood."""
+        ...

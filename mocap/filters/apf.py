@@ -1,0 +1,143 @@
+"""Annealed particle filter (APF) and, with one layer and beta = 1, the plain SIR filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data.problem import ArticulatedProblem
+from mocap.filters.annealing import layer_scales, next_beta
+from mocap.filters.estimate import weighted_mean
+from mocap.filters.resampling import RESAMPLING
+from mocap.filters.weights import effective_sample_size, normalise_log_weights
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ApfSettings:
+    """Settings of the annealed particle filter.
+
+    std : (D,) standard deviation of the first layer's noise, m and rad ("P_0", reading guide 2).
+    """
+
+    n_layers: int
+    n_particles: int
+    std: Array
+    alpha: float = 0.5
+    """Survival rate of every layer, and the factor on the noise covariance from layer to layer (CF 3.2.2)."""
+    resampling: str = "systematic"
+
+    def __post_init__(self) -> None:
+        if self.n_layers < 1 or self.n_particles < 2:
+            raise ValueError(
+                f"n_layers >= 1 and n_particles >= 2, got {self.n_layers} and {self.n_particles}"
+            )
+        if self.resampling not in RESAMPLING:
+            raise ValueError(f"resampling {self.resampling!r} is none of {', '.join(RESAMPLING)}")
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleState:
+    """What the next step needs.  particles : (N, D); weights : (N,), normalised."""
+
+    particles: Array
+    weights: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FilterInfo:
+    """What people and plots need.
+
+    estimate : (D,).  best : (D,) the particle of highest likelihood over all layers; best_log_likelihood its value.
+    beta, ess : one per layer, first to run first.  n_evaluations : likelihood evaluations spent.
+    is_degenerate : every weight was zero in some layer, so that the estimate rests on the noise alone.
+    """
+
+    estimate: Array
+    best: Array
+    best_log_likelihood: float
+    beta: Array
+    ess: Array
+    n_evaluations: int
+    is_degenerate: bool
+
+
+def initial_particles(problem: ArticulatedProblem, state: Array, n: int) -> ParticleState:
+    """All particles at one state (D,), equal weights: the first layer's noise spreads them."""
+    particles = np.tile(np.clip(state, problem.layout.lower, problem.layout.upper), (n, 1))
+    return ParticleState(particles, np.full(n, 1.0 / n))
+
+
+def apf_step(
+    problem: ArticulatedProblem,
+    state: ParticleState,
+    settings: ApfSettings,
+    *,
+    rng: np.random.Generator,
+) -> tuple[ParticleState, FilterInfo]:
+    """One frame of the annealed particle filter: L layers of resample, propagate, weigh with w^beta.
+
+    state : particles (M, D) of the last frame with their weights; M may differ from n_particles.
+    Source: CF Alg. 3, Eq. 3.18-3.22.
+    """
+    resample = RESAMPLING[settings.resampling]
+    particles, weights = state.particles, state.weights
+    n = settings.n_particles
+    betas, ess = [], []
+    best, best_ll = particles[0], -np.inf
+    is_degenerate = False
+    for scale in layer_scales(settings.n_layers, settings.alpha):
+        ancestors = resample(weights, n, rng=rng)
+        particles = problem.propagate(particles[ancestors], settings.std * scale, rng=rng)
+        log_likelihood = problem.log_likelihood(particles).sum(axis=1)
+        beta = next_beta(log_likelihood, settings.alpha)
+        weights, log_mean = normalise_log_weights(beta * log_likelihood)
+        is_degenerate |= not np.isfinite(log_mean)
+        betas.append(beta)
+        ess.append(effective_sample_size(weights))
+        top = int(np.argmax(np.nan_to_num(log_likelihood, nan=-np.inf)))
+        if log_likelihood[top] > best_ll:
+            best, best_ll = particles[top].copy(), float(log_likelihood[top])
+    info = FilterInfo(
+        estimate=weighted_mean(particles, weights, problem.layout.is_circular),
+        best=best,
+        best_log_likelihood=best_ll,
+        beta=np.array(betas),
+        ess=np.array(ess),
+        n_evaluations=n * settings.n_layers,
+        is_degenerate=is_degenerate,
+    )
+    return ParticleState(particles, weights), info
+
+
+def sir_step(
+    problem: ArticulatedProblem,
+    state: ParticleState,
+    settings: ApfSettings,
+    *,
+    rng: np.random.Generator,
+) -> tuple[ParticleState, FilterInfo]:
+    """One frame of the plain particle filter: resample, propagate, weigh with the likelihood itself.
+
+    `n_layers` of the settings multiplies the particles, so that both filters spend equal evaluations.
+    Source: CF Alg. 1.
+    """
+    n = settings.n_particles * settings.n_layers
+    ancestors = RESAMPLING[settings.resampling](state.weights, n, rng=rng)
+    particles = problem.propagate(state.particles[ancestors], settings.std, rng=rng)
+    log_likelihood = problem.log_likelihood(particles).sum(axis=1)
+    weights, log_mean = normalise_log_weights(log_likelihood)
+    top = int(np.argmax(np.nan_to_num(log_likelihood, nan=-np.inf)))
+    info = FilterInfo(
+        estimate=weighted_mean(particles, weights, problem.layout.is_circular),
+        best=particles[top].copy(),
+        best_log_likelihood=float(log_likelihood[top]),
+        beta=np.ones(1),
+        ess=np.array([effective_sample_size(weights)]),
+        n_evaluations=n,
+        is_degenerate=not np.isfinite(log_mean),
+    )
+    return ParticleState(particles, weights), info
