@@ -1,6 +1,7 @@
 """The body: kinematic tree, flesh, sizes, first pose."""
 
 from mocap.body.flesh import LookUpTable, build_look_up_table
+from mocap.body.initial import HeightEstimate, candidate_states, head_top, height_from_tops
 from mocap.body.kinematics import (
     cones_of,
     joint_transforms,
@@ -13,10 +14,14 @@ from mocap.body.model import Body, BodyModel, body_presets, load_body_model, sca
 __all__ = [
     "Body",
     "BodyModel",
+    "HeightEstimate",
     "LookUpTable",
     "body_presets",
     "build_look_up_table",
+    "candidate_states",
     "cones_of",
+    "head_top",
+    "height_from_tops",
     "joint_transforms",
     "landmarks_of",
     "load_body_model",

@@ -131,7 +131,7 @@ class Body:
     exclusive: bool
 
     @property
-    def chain(self) -> tuple[Array, ...]:
+    def chain(self) -> tuple[NDArray[np.generic], ...]:
         """The arrays that the kinematics kernels take, in their order."""
         return self.parent, self.offset, self.dof_joint, self.dof_axis, self.dof_column
 

@@ -2,7 +2,7 @@
 
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.motion import BONES, LANDMARKS, Motion, Tracks
-from mocap.data.problem import ArticulatedProblem, StateLayout
+from mocap.data.problem import ArticulatedProblem, ResidualProblem, StateLayout
 from mocap.data.skeleton import Skeleton
 from mocap.data.voxels import Hull, VoxelGrid
 
@@ -14,6 +14,7 @@ __all__ = [
     "CameraRig",
     "Hull",
     "Motion",
+    "ResidualProblem",
     "Skeleton",
     "StateLayout",
     "Tracks",

@@ -74,3 +74,14 @@ class ArticulatedProblem(Protocol):
     def log_likelihood(self, particles: Array) -> Array:
         """Per-part log-likelihoods of particles (N, D): (N, P), or (N, 1) for a global likelihood."""
         ...
+
+
+class ResidualProblem(Protocol):
+    """A problem that also offers second-order information to a refinement."""
+
+    @property
+    def layout(self) -> StateLayout: ...
+
+    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
+        """Robust cost, Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,)."""
+        ...

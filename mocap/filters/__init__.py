@@ -10,6 +10,7 @@ from mocap.filters.apf import (
     initial_particles,
     sir_step,
 )
+from mocap.filters.refine import RefineInfo, RefineSettings, refine
 
 FilterStep = Callable[..., tuple[ParticleState, FilterInfo]]
 
@@ -22,7 +23,10 @@ __all__ = [
     "FilterInfo",
     "FilterStep",
     "ParticleState",
+    "RefineInfo",
+    "RefineSettings",
     "apf_step",
     "initial_particles",
+    "refine",
     "sir_step",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +104,7 @@ def part_scores(
         raise ValueError(f"states has shape {s.shape}, expected (N, {body.layout.n_columns})")
     counts = np.zeros((len(s), body.layout.n_parts, 4), dtype=np.int64)
     x, y, z = (np.ascontiguousarray(table.points[:, i]) for i in range(3))
-    fixed = (
+    fixed: tuple[Any, ...] = (
         *body.chain,
         x,
         y,
@@ -128,7 +129,7 @@ def part_scores(
         edges = np.linspace(0, len(s), n_chunks + 1).astype(int)
         with ThreadPoolExecutor(n_chunks) as pool:
             jobs = [
-                pool.submit(part_scores_kernel, s[a:b], *fixed, counts[a:b])
+                pool.submit(part_scores_kernel, *(s[a:b], *fixed, counts[a:b]))
                 for a, b in itertools.pairwise(edges)
             ]
             for job in jobs:

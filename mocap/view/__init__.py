@@ -1,1 +1,58 @@
-"""view stage."""
+"""What a person looks at to judge a run: overlays, plots, a 3D scene and the report."""
+
+from mocap.view.overlay import (
+    SIDE_COLOURS,
+    BodyPart,
+    contact_sheet,
+    crop,
+    draw_body,
+    draw_floor_grid,
+    draw_hull,
+    draw_label,
+    draw_mask,
+    draw_skeleton,
+    person_colour,
+    person_window,
+)
+from mocap.view.plots import (
+    FilterHealth,
+    plot_error_over_time,
+    plot_filter_health,
+    plot_foreground_share,
+    plot_joint_angles,
+    plot_landmark_errors,
+    plot_stage_timing,
+    plot_track_map,
+)
+from mocap.view.report import SCORES, Figure, FramePanel, ReportData, write_report
+from mocap.view.scene import SceneFrame, write_rrd
+
+__all__ = [
+    "SCORES",
+    "SIDE_COLOURS",
+    "BodyPart",
+    "Figure",
+    "FilterHealth",
+    "FramePanel",
+    "ReportData",
+    "SceneFrame",
+    "contact_sheet",
+    "crop",
+    "draw_body",
+    "draw_floor_grid",
+    "draw_hull",
+    "draw_label",
+    "draw_mask",
+    "draw_skeleton",
+    "person_colour",
+    "person_window",
+    "plot_error_over_time",
+    "plot_filter_health",
+    "plot_foreground_share",
+    "plot_joint_angles",
+    "plot_landmark_errors",
+    "plot_stage_timing",
+    "plot_track_map",
+    "write_report",
+    "write_rrd",
+]

@@ -1,0 +1,173 @@
+"""Where a body may start: standing height from the hull, and candidate first poses around a centroid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body.kinematics import cones_of, neutral_state
+from mocap.body.model import Body
+
+Array = NDArray[np.float64]
+
+# A hull whose top stays below this is a person who sits, crouches or lies: no height can be read from it.
+LOWEST_STANDING_TOP_M = 1.45
+HIGHEST_STANDING_TOP_M = 2.20
+DEFAULT_HEIGHT_M = 1.72
+_HEAD_SEARCH_M = 0.9
+_HEAD_AREA_M2 = 0.010
+
+# Name of the pose and joint angles that differ from the neutral state; mirrored names are written out.
+_POSES: dict[str, dict[str, float]] = {
+    "stand": {},
+    "arms_out": {"right_shoulder_x": 0.1, "left_shoulder_x": -0.1},
+    "arms_up": {"right_shoulder_x": -1.1, "left_shoulder_x": 1.1},
+    "arms_forward": {
+        "right_shoulder_x": 1.2,
+        "left_shoulder_x": -1.2,
+        "right_shoulder_z": 1.0,
+        "left_shoulder_z": -1.0,
+        "right_elbow_z": 0.6,
+        "left_elbow_z": -0.6,
+    },
+    "guard": {
+        "right_shoulder_x": 1.2,
+        "left_shoulder_x": -1.2,
+        "right_shoulder_z": 0.4,
+        "left_shoulder_z": -0.4,
+        "right_elbow_z": 1.8,
+        "left_elbow_z": -1.8,
+    },
+    "stride_right": {
+        "right_hip_y": -0.45,
+        "left_hip_y": 0.35,
+        "left_knee_y": 0.35,
+        "right_shoulder_z": -0.35,
+        "left_shoulder_z": -0.35,
+    },
+    "stride_left": {
+        "left_hip_y": -0.45,
+        "right_hip_y": 0.35,
+        "right_knee_y": 0.35,
+        "right_shoulder_z": 0.35,
+        "left_shoulder_z": 0.35,
+    },
+    "one_arm_up_right": {"right_shoulder_x": -1.1},
+    "one_arm_up_left": {"left_shoulder_x": 1.1},
+    "lunge_right": {"right_hip_x": -0.5, "left_hip_x": 0.1, "right_shoulder_x": 0.2, "left_shoulder_x": -0.2},
+    "lunge_left": {"left_hip_x": 0.5, "right_hip_x": -0.1, "right_shoulder_x": 0.2, "left_shoulder_x": -0.2},
+    "sit": {
+        "right_hip_y": -1.45,
+        "left_hip_y": -1.45,
+        "right_knee_y": 1.5,
+        "left_knee_y": 1.5,
+        "right_elbow_z": 0.9,
+        "left_elbow_z": -0.9,
+        "right_shoulder_z": 0.3,
+        "left_shoulder_z": -0.3,
+    },
+    "crouch": {
+        "right_hip_y": -1.3,
+        "left_hip_y": -1.3,
+        "right_knee_y": 1.7,
+        "left_knee_y": 1.7,
+        "root_pitch": 0.4,
+        "waist_y": 0.3,
+    },
+}
+
+
+@dataclass(frozen=True)
+class HeightEstimate:
+    """Standing height, m, and whether it was read from the hull (False: the default was taken)."""
+
+    height_m: float
+    is_measured: bool
+
+
+def head_top(centers: Array, voxel_size_m: float) -> float:
+    """Height of the crown of the head in one person's hull, m; NaN for an empty hull.
+
+    centers : (N, 3) m, voxel centres. Raised arms may be the highest voxels, so the highest slice counts whose
+    largest connected piece is as large as a head and larger than a forearm (0.01 m^2); the crown is 15 mm above
+    it.
+    """
+    if len(centers) == 0:
+        return float("nan")
+    top = float(centers[:, 2].max())
+    high = centers[centers[:, 2] > top - _HEAD_SEARCH_M]
+    cell = np.round((high - high.min(axis=0)) / voxel_size_m).astype(int)
+    slices = np.zeros(tuple(cell.max(axis=0) + 1), dtype=np.uint8)
+    slices[cell[:, 0], cell[:, 1], cell[:, 2]] = 1
+    for iz in range(slices.shape[2] - 1, -1, -1):
+        _, _, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(slices[:, :, iz]))
+        areas = stats[1:, cv2.CC_STAT_AREA] * voxel_size_m**2
+        if areas.size and areas.max() >= _HEAD_AREA_M2:
+            z = float(high[:, 2].min()) + iz * voxel_size_m
+            return min(z + 0.5 * voxel_size_m + 0.015, top + 0.5 * voxel_size_m)
+    return top + 0.5 * voxel_size_m
+
+
+def height_from_tops(tops_m: Array, voxel_size_m: float) -> HeightEstimate:
+    """Standing height from the highest point of a person's hull in each frame.
+
+    tops_m : (T,) upper face of the highest voxel, m; NaN where the person was not seen. The 90th percentile is taken,
+    because a walking person is at full height only in mid-stance and a speck may ride above the head, less
+    half a voxel, the mean excess of a hull whose voxels count when their centre is inside.
+    Source: CF 6.3.4 (limb lengths proportional to the height, which comes from the volume).
+    """
+    tops = np.asarray(tops_m, dtype=np.float64)
+    tops = tops[np.isfinite(tops)]
+    if tops.size == 0:
+        return HeightEstimate(DEFAULT_HEIGHT_M, False)
+    top = float(np.quantile(tops, 0.9))
+    if not LOWEST_STANDING_TOP_M <= top <= HIGHEST_STANDING_TOP_M:
+        return HeightEstimate(DEFAULT_HEIGHT_M, False)
+    return HeightEstimate(top - 0.5 * voxel_size_m, True)
+
+
+def candidate_states(
+    body: Body, centers: Array, yaws: Array, *, is_standing: bool | None = None
+) -> tuple[Array, list[str]]:
+    """Starting poses of several kinds and facing directions, put over a person's hull.
+
+    centers : (N, 3) m, voxel centres of the person.  yaws : (Y,) rad, facing directions (0 = +x).
+    is_standing : restricts the kinds to standing ones (True) or low ones (False); None tries all.
+    Returns states (Y * K, D) and the name of the pose of each. The body's flesh centroid is put over the
+    hull's; standing poses stand on the lowest voxels.
+    Source: CF 6.3.3; departs from it by trying several poses and directions instead of the neutral one only.
+    """
+    if len(centers) == 0:
+        raise ValueError("centers is empty: there is no hull to start from")
+    names = body.layout.names
+    centroid = centers.mean(axis=0)
+    floor = float(np.quantile(centers[:, 2], 0.002))
+    states, labels = [], []
+    for label, angles in _POSES.items():
+        low = label in ("sit", "crouch")
+        if is_standing is not None and low == is_standing:
+            continue
+        base = neutral_state(body)
+        for name, value in angles.items():
+            if name in names:
+                base[names.index(name)] = value
+        base = np.clip(base, body.layout.lower, body.layout.upper)
+        start, end = cones_of(body, base)
+        weight = np.linalg.norm(end - start, axis=1) * (body.cones.radii**2).mean(axis=1)
+        middle = 0.5 * (start + end)
+        lowest = min(float((e[:, 2] - body.cones.radii[:, i]).min()) for i, e in enumerate((start, end)))
+        for yaw in yaws:
+            state = base.copy()
+            if "root_yaw" in names:
+                state[names.index("root_yaw")] = yaw
+            turned = cones_of(body, state)
+            middle = 0.5 * (turned[0] + turned[1])
+            offset = weight @ middle / weight.sum()
+            state[:2] += centroid[:2] - offset[:2]
+            state[2] += floor - lowest
+            states.append(state)
+            labels.append(label)
+    return np.array(states), labels

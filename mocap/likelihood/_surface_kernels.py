@@ -1,0 +1,245 @@
+"""Normal equations of the distance between a posed body and the surface of the hull."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from mocap.body._kernels import forward_kinematics
+
+
+@njit(cache=True, nogil=True)
+def chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes):
+    """Joint transforms, and the world direction of every rotation axis, axes (n_dofs, 3)."""
+    forward_kinematics(state, parent, offset, dof_joint, dof_axis, dof_column, R, t)
+    M = np.empty((3, 3))
+    for d in range(dof_joint.shape[0]):
+        j = dof_joint[d]
+        if d == 0 or dof_joint[d - 1] != j:
+            p = parent[j]
+            for r in range(3):
+                for c in range(3):
+                    if p < 0:
+                        M[r, c] = 1.0 if r == c else 0.0
+                    else:
+                        M[r, c] = R[p, r, c]
+        for r in range(3):
+            axes[d, r] = M[r, dof_axis[d]]
+        co = math.cos(state[dof_column[d]])
+        si = math.sin(state[dof_column[d]])
+        a = (dof_axis[d] + 1) % 3
+        b = (dof_axis[d] + 2) % 3
+        for r in range(3):
+            va = M[r, a]
+            vb = M[r, b]
+            M[r, a] = co * va + si * vb
+            M[r, b] = -si * va + co * vb
+
+
+@njit(cache=True, nogil=True)
+def add_row(x, n, residual, weight, j, t, axes, dof_joint, dof_column, moves, columns, values, H, g):
+    """Add one scalar residual whose derivative is n . dx/dstate, x rigid with joint j, to H and g."""
+    k = 0
+    for c in range(3):
+        columns[k] = c
+        values[k] = n[c]
+        k += 1
+    for d in range(dof_joint.shape[0]):
+        if not moves[j, d]:
+            continue
+        q = t[dof_joint[d]]
+        rx = x[0] - q[0]
+        ry = x[1] - q[1]
+        rz = x[2] - q[2]
+        vx = axes[d, 1] * rz - axes[d, 2] * ry
+        vy = axes[d, 2] * rx - axes[d, 0] * rz
+        vz = axes[d, 0] * ry - axes[d, 1] * rx
+        columns[k] = dof_column[d]
+        values[k] = n[0] * vx + n[1] * vy + n[2] * vz
+        k += 1
+    for a in range(k):
+        wa = weight * values[a]
+        g[columns[a]] += wa * residual
+        for b in range(k):
+            H[columns[a], columns[b]] += wa * values[b]
+
+
+@njit(cache=True, nogil=True)
+def hull_to_body(
+    points,
+    normals,
+    start,
+    end,
+    radii,
+    cone_joint,
+    t,
+    axes,
+    dof_joint,
+    dof_column,
+    moves,
+    excess,
+    scale,
+    normal_cost,
+    H,
+    g,
+):
+    """Pull the nearest flesh to every hull surface point; returns the robust cost.
+
+    The nearest cone is chosen by distance and by the angle between the outward normals.
+    """
+    n_cones = start.shape[0]
+    columns = np.empty(H.shape[0], np.int64)
+    values = np.empty(H.shape[0])
+    foot = np.empty(3)
+    best_n = np.empty(3)
+    best_x = np.empty(3)
+    n = np.empty(3)
+    x = np.empty(3)
+    cost = 0.0
+    for i in range(points.shape[0]):
+        best = np.inf
+        best_r = 0.0
+        best_k = -1
+        best_cos = 0.0
+        for k in range(n_cones):
+            ax = end[k, 0] - start[k, 0]
+            ay = end[k, 1] - start[k, 1]
+            az = end[k, 2] - start[k, 2]
+            px = points[i, 0] - start[k, 0]
+            py = points[i, 1] - start[k, 1]
+            pz = points[i, 2] - start[k, 2]
+            s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
+            s = min(max(s, 0.0), 1.0)
+            foot[0] = start[k, 0] + s * ax
+            foot[1] = start[k, 1] + s * ay
+            foot[2] = start[k, 2] + s * az
+            dx = points[i, 0] - foot[0]
+            dy = points[i, 1] - foot[1]
+            dz = points[i, 2] - foot[2]
+            length = math.sqrt(dx * dx + dy * dy + dz * dz)
+            radius = radii[k, 0] + s * (radii[k, 1] - radii[k, 0])
+            r = length - radius - excess
+            inv = 1.0 / max(length, 1e-9)
+            cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) * inv
+            miss = normal_cost * (1.0 - cosine)
+            score = r * r + miss * miss
+            if score < best:
+                best = score
+                best_r = r
+                best_k = k
+                best_cos = cosine
+                best_n[0] = dx * inv
+                best_n[1] = dy * inv
+                best_n[2] = dz * inv
+                for c in range(3):
+                    best_x[c] = foot[c] + radius * best_n[c]
+        q = best_r / scale
+        cost += 0.5 * scale * scale * q * q / (1.0 + q * q)
+        weight = 1.0 / ((1.0 + q * q) * (1.0 + q * q))
+        weight *= max(best_cos, 0.0)
+        if weight > 1e-4:
+            for c in range(3):
+                n[c] = -best_n[c]
+                x[c] = best_x[c]
+            # d(residual) = -n_body . dx: the residual shrinks when the flesh moves outwards.
+            add_row(
+                x,
+                n,
+                best_r,
+                weight,
+                cone_joint[best_k],
+                t,
+                axes,
+                dof_joint,
+                dof_column,
+                moves,
+                columns,
+                values,
+                H,
+                g,
+            )
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def body_to_hull(
+    points, point_joint, nearest, outside, t, axes, dof_joint, dof_column, moves, scale, gain, H, g
+):
+    """Pull flesh points that stick out of the hull back to the nearest hull point; returns the robust cost."""
+    columns = np.empty(H.shape[0], np.int64)
+    values = np.empty(H.shape[0])
+    n = np.empty(3)
+    cost = 0.0
+    for i in range(points.shape[0]):
+        if not outside[i]:
+            continue
+        length = 0.0
+        for c in range(3):
+            n[c] = points[i, c] - nearest[i, c]
+            length += n[c] * n[c]
+        length = math.sqrt(length)
+        if length < 1e-9:
+            continue
+        for c in range(3):
+            n[c] /= length
+        q = length / scale
+        cost += gain * 0.5 * scale * scale * q * q / (1.0 + q * q)
+        weight = gain / ((1.0 + q * q) * (1.0 + q * q))
+        add_row(
+            points[i],
+            n,
+            length,
+            weight,
+            point_joint[i],
+            t,
+            axes,
+            dof_joint,
+            dof_column,
+            moves,
+            columns,
+            values,
+            H,
+            g,
+        )
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def surface_normals(voxels, is_surface, crop, lower, ny, nz, radius, normals):
+    """Outward normals of surface voxels: away from the mean of the occupied voxels around."""
+    m = 0
+    for i in range(voxels.shape[0]):
+        if not is_surface[i]:
+            continue
+        iz = voxels[i] % nz - lower[2]
+        iy = (voxels[i] // nz) % ny - lower[1]
+        ix = voxels[i] // nz // ny - lower[0]
+        sx = 0.0
+        sy = 0.0
+        sz = 0.0
+        for dx in range(-radius, radius + 1):
+            for dy in range(-radius, radius + 1):
+                for dz in range(-radius, radius + 1):
+                    x = ix + dx
+                    y = iy + dy
+                    z = iz + dz
+                    if (
+                        x >= 0
+                        and y >= 0
+                        and z >= 0
+                        and x < crop.shape[0]
+                        and y < crop.shape[1]
+                        and z < crop.shape[2]
+                        and crop[x, y, z] >= 128
+                    ):
+                        sx -= dx
+                        sy -= dy
+                        sz -= dz
+        length = math.sqrt(sx * sx + sy * sy + sz * sz)
+        if length > 1e-9:
+            normals[m, 0] = sx / length
+            normals[m, 1] = sy / length
+            normals[m, 2] = sz / length
+        m += 1

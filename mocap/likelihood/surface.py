@@ -1,0 +1,184 @@
+"""Distance between the posed flesh and the surface of the hull, as residuals for a second-order refinement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from mocap.body.flesh import LookUpTable
+from mocap.body.model import Body
+from mocap.data.problem import StateLayout
+from mocap.data.voxels import VoxelGrid, Voxels
+from mocap.likelihood._surface_kernels import body_to_hull, chain_axes, hull_to_body, surface_normals
+from mocap.likelihood.voxels import OCCUPIED_BIT, PackedVolume
+
+Array = NDArray[np.float64]
+
+_NORMAL_RADIUS_VOXELS = 2  # neighbourhood of the hull's normals: five voxels wide
+
+
+@dataclass(frozen=True)
+class SurfaceFitSettings:
+    """How hull and flesh pull each other."""
+
+    n_hull_points: int = 1500
+    """Surface voxels used per frame, evenly thinned out."""
+    n_flesh_points: int = 400
+    """Flesh surface points tested for sticking out of the hull."""
+    scale_m: float = 0.04
+    """Residual at which a hull point loses three quarters of its pull (Geman-McClure)."""
+    flesh_scale_m: float = 0.10
+    normal_cost_m: float = 0.06
+    """Distance that opposite normals are worth when the nearest cone is chosen."""
+    flesh_gain: float = 1.0
+    """Total weight of the flesh points against that of the hull points."""
+
+
+@dataclass(frozen=True, eq=False)
+class HullSurface:
+    """Surface points of one frame's hull with outward normals.  points, normals : (M, 3) m, world."""
+
+    points: Array
+    normals: Array
+    volume: PackedVolume
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        return cKDTree(self.points)
+
+
+def hull_surface(
+    voxels: Voxels, is_surface: NDArray[np.bool_], grid: VoxelGrid, volume: PackedVolume
+) -> HullSurface:
+    """Points and normals of a hull.  voxels : (N,) linear indices inside the volume's crop."""
+    surface = voxels[is_surface]
+    normals = np.zeros((len(surface), 3))
+    surface_normals(
+        voxels,
+        is_surface,
+        volume.crop,
+        volume.lower_subscript,
+        grid.shape[1],
+        grid.shape[2],
+        _NORMAL_RADIUS_VOXELS,
+        normals,
+    )
+    return HullSurface(grid.centers(surface), normals, volume)
+
+
+def dof_moves_joint(body: Body) -> NDArray[np.bool_]:
+    """Which rotations move which joint frame, (J, n_dofs)."""
+    moves = np.zeros((len(body.joints), len(body.dof_joint)), dtype=np.bool_)
+    for j in range(len(body.joints)):
+        ancestor = j
+        while ancestor >= 0:
+            moves[j] |= body.dof_joint == ancestor
+            ancestor = int(body.parent[ancestor])
+    return moves
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceProblem:
+    """Robust distance of a body to one frame's hull: `normal_equations(state)` for the refinement.
+
+    Hull surface points pull the nearest flesh whose normal agrees; flesh points in empty voxels are pulled to the
+    nearest hull point. The hull contains the body, so its surface lies outside the flesh: half a voxel is
+    allowed for.
+    """
+
+    body: Body
+    table: LookUpTable
+    hull: HullSurface
+    settings: SurfaceFitSettings
+    _moves: NDArray[np.bool_] = field(init=False, repr=False)
+    _points: Array = field(init=False, repr=False)
+    _normals: Array = field(init=False, repr=False)
+    _flesh: Array = field(init=False, repr=False)
+    _flesh_joint: NDArray[np.int64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        every = max(1, len(self.hull.points) // self.settings.n_hull_points)
+        table = self.table
+        rows = np.concatenate(
+            [a + np.arange(n) for a, n in zip(table.start[:-1], table.n_surface, strict=True)]
+        )
+        joints = np.repeat(table.joint, table.n_surface)
+        # A stride that is coprime to lattice rows would do; a fixed permutation is simpler and as even.
+        chosen = np.sort(np.random.default_rng(0).permutation(len(rows))[: self.settings.n_flesh_points])
+        for name, value in (
+            ("_moves", dof_moves_joint(self.body)),
+            ("_points", np.ascontiguousarray(self.hull.points[::every])),
+            ("_normals", np.ascontiguousarray(self.hull.normals[::every])),
+            ("_flesh", table.points[rows[chosen]].astype(np.float64)),
+            ("_flesh_joint", joints[chosen]),
+        ):
+            object.__setattr__(self, name, value)
+
+    @property
+    def layout(self) -> StateLayout:
+        return self.body.layout
+
+    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
+        """Robust cost, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,).
+
+        Units: metres squared, summed over the hull points used. An empty hull gives zeros.
+        """
+        body, settings, volume = self.body, self.settings, self.hull.volume
+        D = body.layout.n_columns
+        H, g = np.zeros((D, D)), np.zeros(D)
+        if len(self._points) == 0:
+            return 0.0, H, g
+        J = len(body.joints)
+        R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
+        chain_axes(state, *body.chain, R, t, axes)
+        joint = body.cones.joint
+        start = np.einsum("krc,kc->kr", R[joint], body.cones.start) + t[joint]
+        end = np.einsum("krc,kc->kr", R[joint], body.cones.end) + t[joint]
+        voxel = volume.grid.voxel_size_m
+        cost = hull_to_body(
+            self._points,
+            self._normals,
+            start,
+            end,
+            body.cones.radii,
+            joint,
+            t,
+            axes,
+            body.dof_joint,
+            body.dof_column,
+            self._moves,
+            0.5 * voxel,
+            settings.scale_m,
+            settings.normal_cost_m,
+            H,
+            g,
+        )
+        flesh = np.einsum("mrc,mc->mr", R[self._flesh_joint], self._flesh) + t[self._flesh_joint]
+        cell = np.floor((flesh - volume.lower_m) / voxel).astype(np.int64)
+        inside = np.all((cell >= 0) & (cell < np.array(volume.crop.shape)), axis=1)
+        cell[~inside] = 0
+        is_out = ~inside | (volume.crop[cell[:, 0], cell[:, 1], cell[:, 2]] < OCCUPIED_BIT)
+        if is_out.any():
+            nearest = flesh.copy()
+            _, row = self.hull.tree.query(flesh[is_out])
+            nearest[is_out] = self.hull.points[row]
+            cost += body_to_hull(
+                flesh,
+                self._flesh_joint,
+                nearest,
+                is_out,
+                t,
+                axes,
+                body.dof_joint,
+                body.dof_column,
+                self._moves,
+                settings.flesh_scale_m,
+                settings.flesh_gain * len(self._points) / len(flesh),
+                H,
+                g,
+            )
+        return float(cost), H, g

@@ -1,0 +1,208 @@
+"""Configuration: one section per stage, validated, from presets in TOML and `key=value` settings."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mocap.errors import MocapError
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class SegmentationConfig(_Section):
+    """Foreground segmentation (CF 2.2.3)."""
+
+    background: Literal["auto", "clip", "first", "median"] = "auto"
+    """Where the background is learnt: `clip` = background/, `first` = the first frames of the videos, `median` = the
+    temporal median of the videos; `auto` = clip if there is one, else median."""
+    first_frames: int = Field(default=30, ge=1)
+    """Frames that `first` learns from; the room must be empty in them."""
+    median_frames: int = Field(default=50, ge=3)
+    """Frames, spread over the clip, that `median` looks at."""
+    method: Literal["gaussian", "mog2", "knn"] = "gaussian"
+    """Own running Gaussian with shadow test, or one of OpenCV's subtractors."""
+
+
+class VolumeConfig(_Section):
+    """Shape from silhouette (CF 2.2.4)."""
+
+    voxel_size_m: float = Field(default=0.02, gt=0.002, le=0.5)
+    n_faulty_views: int | Literal["auto"] = "auto"
+    """Cameras that may vote background for an occupied voxel; `auto` = 1 with six or more segmented cameras, else 0."""
+    min_views: int | Literal["auto"] = "auto"
+    """Cameras that must have a voxel in view; `auto` = 4, or all when there are fewer."""
+    room_bounds_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Lower and upper corner of the room; the session's own bounds or the cameras' common view when absent."""
+
+
+class TrackingConfig(_Section):
+    """Person tracking (CF 4.2-4.3)."""
+
+    confirm_frames: int = Field(default=3, ge=1)
+    """Frames in which a blob must look like a person before it becomes one (fewer for shorter clips)."""
+    lost_frames: int = Field(default=15, ge=0)
+    """Frames that a person may be out of sight before the track ends."""
+
+
+class BodyConfig(_Section):
+    """The body model."""
+
+    model: str = "anthropometric"
+    """A preset (`anthropometric`, `thesis`) or a body file."""
+    height_m: float | None = Field(default=None, gt=0.3, lt=2.6)
+    """Standing height; the session's value or the volume decides when absent."""
+
+
+class LikelihoodConfig(_Section):
+    """Voxel likelihood (CF 6.5)."""
+
+    factorised: bool = True
+    """Per-part likelihoods (CF 6.23); false = one global likelihood (CF 6.21)."""
+    variance_out: float = Field(default=0.01, gt=0)
+    """Source: CF Table 6.2."""
+    variance_double: float = Field(default=0.01, gt=0)
+    """Source: CF Table 6.2."""
+    variance_empty: float = Field(default=0.1, gt=0)
+    """Source: CF Table 6.2."""
+    variance_surface: float = Field(default=0.1, gt=0)
+    """Source: CF Table 6.2."""
+
+
+class PoseConfig(_Section):
+    """Pose filter (CF 6) and refinement."""
+
+    filter: str = "apf"
+    """One of `mocap run --list-filters`."""
+    n_layers: int = Field(default=6, ge=1, le=40)
+    """Annealing layers. Source: CF 6.7.2."""
+    n_particles: int = Field(default=600, ge=2)
+    """Particles per layer. Source: CF 6.7.2."""
+    survival_rate: float = Field(default=0.5, gt=0, lt=1)
+    """Target ESS / N of every layer. Source: CF 3.2.2."""
+    resampling: Literal["systematic", "stratified", "multinomial"] = "systematic"
+    noise_scale: float = Field(default=1.0, gt=0)
+    """Factor on the propagation noise, which is half of the body's largest expected speed per frame."""
+    follow_track: bool = True
+    """Move all particles by the track's displacement before the first layer."""
+    surface_sigma_voxels: float = Field(default=1.0, ge=0, le=8)
+    """Gaussian that smooths the surface map of CF 6.16."""
+    table_density: float = Field(default=1.0, gt=0, le=4)
+    """Spacing of the body's look-up table over the voxel side. Source: CF Eq. 6.26."""
+    refine: bool = True
+    """Second-order refinement of every estimate on the hull's surface; false = the published filter alone."""
+    feedback_share: float = Field(default=0.5, ge=0, lt=1)
+    """Share of the particles that take over the refined pose."""
+    n_start_frames: int = Field(default=5, ge=1)
+    """Frames of the first two seconds in which the first pose is looked for."""
+    n_first_poses: int = Field(default=12, ge=1)
+    """Candidates that are followed up in each of them."""
+
+
+class OutputConfig(_Section):
+    """What is written beside the CSV files."""
+
+    formats: tuple[Literal["bvh", "trc", "c3d", "glb", "rrd", "report"], ...] = (
+        "bvh",
+        "trc",
+        "c3d",
+        "glb",
+        "rrd",
+        "report",
+    )
+    report_frames: int = Field(default=3, ge=1, le=12)
+    """Frames shown as pictures in the report."""
+    report_cameras: int = Field(default=4, ge=1, le=16)
+
+
+class Config(_Section):
+    """Everything that decides a result besides the input and the seed."""
+
+    segmentation: SegmentationConfig = SegmentationConfig()
+    volume: VolumeConfig = VolumeConfig()
+    tracking: TrackingConfig = TrackingConfig()
+    body: BodyConfig = BodyConfig()
+    likelihood: LikelihoodConfig = LikelihoodConfig()
+    pose: PoseConfig = PoseConfig()
+    output: OutputConfig = OutputConfig()
+
+
+def presets() -> tuple[str, ...]:
+    """Names of the presets that come with the package."""
+    folder = resources.files("configs")
+    return tuple(sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")))
+
+
+def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Config:
+    """A preset by name or path, changed by `section.key=value` settings.
+
+    Raises MocapError naming the dotted path of an unknown key or a bad value, and the allowed keys.
+    """
+    if preset in presets():
+        text = (resources.files("configs") / f"{preset}.toml").read_text("utf-8")
+        path = Path(f"{preset}.toml")
+    else:
+        path = Path(preset)
+        try:
+            text = path.read_text("utf-8")
+        except OSError as error:
+            raise MocapError(
+                f"no preset or configuration file named {preset!r}",
+                remedy=f"use one of {', '.join(presets())} or the path of a TOML file",
+            ) from error
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise MocapError(f"not a TOML file: {error}", path=path, remedy="correct the syntax") from error
+    for setting in settings:
+        _apply_setting(values, setting)
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        dotted = ".".join(str(p) for p in first["loc"])
+        what = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].lower()
+        raise MocapError(
+            f"configuration: {dotted}: {what}", path=path, remedy=_allowed_keys(first["loc"])
+        ) from error
+
+
+def _apply_setting(values: dict[str, Any], setting: str) -> None:
+    key, sep, text = setting.partition("=")
+    parts = key.strip().split(".")
+    if not sep or len(parts) < 2 or not all(parts):
+        raise MocapError(f"cannot read the setting {setting!r}", remedy="write it as --set section.key=value")
+    try:
+        value: Any = tomllib.loads(f"value = {text.strip()}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()  # a bare word is a string
+    node = values
+    for part in parts[:-1]:
+        node = node.setdefault(part, {})
+        if not isinstance(node, dict):
+            raise MocapError(f"configuration: {key} is not a section", remedy="write section.key=value")
+    node[parts[-1]] = value
+
+
+def _allowed_keys(loc: tuple[int | str, ...]) -> str:
+    model: type[BaseModel] = Config
+    for part in loc[:-1]:
+        annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            break
+        model = annotation
+    return f"allowed here: {', '.join(model.model_fields)}"
+
+
+def config_hash(*sections: BaseModel | str | float | int | None) -> str:
+    """A short hash of configuration sections and other plain values."""
+    plain = [s.model_dump(mode="json") if isinstance(s, BaseModel) else s for s in sections]
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:16]

@@ -1,0 +1,359 @@
+"""Plots of a run as PNG bytes.
+
+matplotlib is imported when the first plot is made, and used through its objects only (`Figure` with an Agg
+canvas): no window, no global state, safe in threads. Colours are told apart with every common colour vision,
+and lines also differ in style, so that a grey print stays readable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import LANDMARKS, CameraRig, Tracks
+from mocap.view.overlay import SIDE_COLOURS, Colour, person_colour, side_of_landmark
+
+Array = NDArray[np.float64]
+Frames = NDArray[np.integer]
+
+LINE_COLOURS: tuple[str, ...] = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555")
+LINE_STYLES: tuple[str, ...] = ("-", "--", ":", "-.")
+_INK = "#22262b"
+_FAINT = "#d9dde2"
+_DPI = 120
+_MAX_LEGEND = 8
+
+
+@dataclass(frozen=True, eq=False)
+class FilterHealth:
+    """How one person's particle filter fared over time; None where the filter does not know it.
+
+    frames : (T,).  ess_share : (T,) effective sample size over number of particles, 0..1.
+    survival_rate : (T,) 0..1.  log_likelihood : (T,) of the estimate.
+    """
+
+    person: int
+    frames: Frames
+    ess_share: Array | None = None
+    survival_rate: Array | None = None
+    log_likelihood: Array | None = None
+
+
+def plot_error_over_time(
+    errors_mm: Mapping[int, tuple[Frames, Array]],
+    *,
+    epsilon_mm: float = 100.0,
+    names: Sequence[str] = LANDMARKS,
+) -> bytes:
+    """Mean and worst landmark error of each person in each frame, with the line of epsilon.
+
+    errors_mm : person -> (frames (T,), errors (T, M) mm); NaN = not scored. No persons give an empty plot.
+    The landmark that is worst most often is named.
+    """
+    figure, axes = _figure(max(1, len(errors_mm)), height=2.5)
+    for ax, (person, (frames, errors)) in zip(axes, errors_mm.items(), strict=False):
+        mean, worst = _row_statistic(errors, np.mean), _row_statistic(errors, np.max)
+        ax.plot(
+            frames,
+            worst,
+            marker=_marker(frames),
+            color=LINE_COLOURS[1],
+            lw=1.1,
+            ls="--",
+            label="worst landmark",
+        )
+        ax.plot(
+            frames, mean, marker=_marker(frames), color=LINE_COLOURS[0], lw=2.0, label="mean of all landmarks"
+        )
+        ax.axhline(epsilon_mm, color=_INK, lw=1.0, ls=":", label=f"epsilon = {epsilon_mm:g} mm")
+        ax.set_ylim(0, 1.08 * max(epsilon_mm, float(np.nanmax(worst)) if np.isfinite(worst).any() else 0))
+        known = np.isfinite(errors).any(axis=1)
+        title = f"Person {person}"
+        if known.any():
+            often = np.bincount(np.nanargmax(errors[known], axis=1), minlength=errors.shape[1])
+            title += f" (worst most often: {_words(names[int(np.argmax(often))])})"
+        _finish(ax, title, "", "error (mm)", legend=True)
+    if not errors_mm:
+        _empty(axes[0], "no truth to compare with")
+    axes[-1].set_xlabel("frame")
+    return _png(figure)
+
+
+def plot_landmark_errors(
+    mean_mm: Mapping[str, float], std_mm: Mapping[str, float] | None = None, *, epsilon_mm: float = 100.0
+) -> bytes:
+    """Mean error of each landmark as bars, coloured by side, with the spread where given.
+
+    mean_mm, std_mm : landmark name -> mm; NaN = never scored.
+    """
+    figure, (ax,) = _figure(1, height=0.6 + 0.27 * max(4, len(mean_mm)))
+    values = [float(v) if v is not None else np.nan for v in mean_mm.values()]
+    place = np.arange(len(values))
+    spread = None if std_mm is None else [std_mm.get(name, 0.0) or 0.0 for name in mean_mm]
+    colours = [_hex(SIDE_COLOURS[side_of_landmark(name)]) for name in mean_mm]
+    if values:
+        ax.barh(
+            place, np.nan_to_num(values), xerr=spread, color=colours, edgecolor=_INK, lw=0.6, height=0.72,
+            error_kw={"ecolor": _INK, "elinewidth": 0.9, "capsize": 2},
+        )  # fmt: skip
+        for y, value in zip(place, values, strict=True):
+            text = f"{value:.0f}" if np.isfinite(value) else "not scored"
+            plate = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8}
+            _note(ax, text, (0, y), (5, -3), bbox=plate)
+        ax.axvline(epsilon_mm, color=_INK, lw=1.0, ls=":")
+        _note(ax, f"epsilon = {epsilon_mm:g}", (epsilon_mm, -0.5), (3, 2))
+    else:
+        _empty(ax, "no truth to compare with")
+    ax.set_yticks(place, [_words(name) for name in mean_mm])
+    ax.invert_yaxis()
+    _finish(
+        ax,
+        "",
+        "mean error (mm); whisker: one standard deviation" if std_mm else "mean error (mm)",
+        "",
+        grid="x",
+    )
+    return _png(figure)
+
+
+def plot_track_map(
+    rig: CameraRig,
+    tracks: Tracks | None,
+    truth: Tracks | None = None,
+    *,
+    bounds_m: Sequence[Sequence[float]] | None = None,
+) -> bytes:
+    """The room from above: cameras with their viewing direction, paths of the persons, truth dashed.
+
+    tracks, truth : world frame; None or empty draws no path.  bounds_m : lower and upper corner of the room.
+    """
+    figure, (ax,) = _figure(1, height=5.2, width=7.2)
+    centers = np.array([camera.center for camera in rig])
+    for camera in rig:
+        w, h = camera.size
+        edge = camera.rays(np.array([[0.0, h / 2], [w - 1.0, h / 2]]))[:, :2]
+        edge = 0.6 * edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-9)
+        corner = camera.center[:2]
+        wedge = np.vstack([corner, corner + edge[0], corner + edge[1]])
+        ax.fill(wedge[:, 0], wedge[:, 1], facecolor="#aab4bf", alpha=0.45, lw=0)
+        ax.plot(*corner, "s", color=_INK, ms=5)
+        _note(ax, camera.name, corner, (5, 5))
+    corners = [centers[:, :2]]
+    if bounds_m is not None:
+        (x0, y0), (x1, y1) = (np.asarray(b, dtype=np.float64)[:2] for b in bounds_m)
+        ax.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#8a939e", lw=1.2, label="room")
+        corners.append(np.array([[x0, y0], [x1, y1]]))
+    for table, style, kind in ((tracks, "-", "person"), (truth, "--", "truth")):
+        if table is None or len(table) == 0:
+            continue
+        for person in table.persons:
+            path = table.of(person).xyz[:, :2]
+            colour = _hex(person_colour(person)) if kind == "person" else _INK
+            width = 2.2 if kind == "person" else 1.0
+            ax.plot(path[:, 0], path[:, 1], style, color=colour, lw=width, label=f"{kind} {person}")
+            if kind == "person":
+                ax.plot(*path[0], "o", color=colour, mec=_INK, ms=7)
+                ax.plot(*path[-1], "D", color=colour, mec=_INK, ms=6)
+            corners.append(path[np.isfinite(path).all(axis=1)])
+    everything = np.vstack(corners)
+    lower, upper = everything.min(axis=0) - 0.7, everything.max(axis=0) + 0.7
+    ax.set_xlim(lower[0], upper[0])
+    ax.set_ylim(lower[1], upper[1])
+    ax.set_aspect("equal")
+    title = "Seen from above; circle = start, diamond = end" if tracks is not None and len(tracks) else ""
+    _finish(ax, title, "x (m)", "y (m)", grid="both", legend=True)
+    return _png(figure)
+
+
+def plot_stage_timing(ms_per_frame: Mapping[str, float]) -> bytes:
+    """Milliseconds per frame of each stage as bars, and the frame rate of all together.
+
+    ms_per_frame : stage -> ms, in the order of the pipeline; NaN and None are left out.
+    """
+    stages = {name: float(v) for name, v in ms_per_frame.items() if v is not None and np.isfinite(v)}
+    figure, (ax,) = _figure(1, height=0.9 + 0.34 * max(2, len(stages)))
+    total = sum(stages.values())
+    if stages:
+        place = np.arange(len(stages))
+        ax.barh(place, list(stages.values()), color=LINE_COLOURS[0], height=0.66)
+        for y, value in zip(place, stages.values(), strict=True):
+            share = f" ({100 * value / total:.0f} %)" if total > 0 else ""
+            _note(ax, f"{value:.1f}{share}", (value, y), (5, -3))
+        ax.set_xlim(0, 1.2 * max(max(stages.values()), 1e-6))
+        ax.set_yticks(place, [_words(name) for name in stages])
+    else:
+        _empty(ax, "no stage was timed")
+    ax.invert_yaxis()
+    speed = f"together {total:.1f} ms per frame = {1000 / total:.1f} frames/s" if total > 0 else ""
+    _finish(ax, speed, "milliseconds per frame", "", grid="x")
+    return _png(figure)
+
+
+def plot_foreground_share(frames: Frames, shares: Mapping[str, Array]) -> bytes:
+    """Share of the picture that is foreground, per camera over time.
+
+    frames : (T,).  shares : camera -> (T,) 0..1. A camera far from the others, or one that jumps, has a
+    background that no longer fits (moved camera, changed light).
+    """
+    figure, (ax,) = _figure(1, height=2.8)
+    for i, (name, share) in enumerate(shares.items()):
+        ax.plot(frames, 100 * np.asarray(share), label=name, lw=1.4, marker=_marker(frames), **_line(i))
+    if not shares:
+        _empty(ax, "no masks were made")
+    ax.set_ylim(bottom=0)
+    _finish(ax, "", "frame", "foreground (% of picture)", legend=True)
+    return _png(figure)
+
+
+def plot_filter_health(health: Sequence[FilterHealth]) -> bytes:
+    """Effective sample size, survival rate and log-likelihood of the particle filters over time.
+
+    A share of weighted particles that is low and falling says that the filter is losing the person.
+    """
+    figure, axes = _figure(2, height=2.2)
+    for item in health:
+        colour = _hex(person_colour(item.person))
+        for values, style, name in (
+            (item.ess_share, "-", "ESS / N"),
+            (item.survival_rate, ":", "survival rate"),
+        ):
+            if values is not None:
+                label = f"{name}, person {item.person}"
+                axes[0].plot(
+                    item.frames, values, style, marker=_marker(item.frames), color=colour, lw=1.5, label=label
+                )
+        if item.log_likelihood is not None:
+            label = f"person {item.person}"
+            axes[1].plot(
+                item.frames,
+                item.log_likelihood,
+                marker=_marker(item.frames),
+                color=colour,
+                lw=1.5,
+                label=label,
+            )
+    axes[0].set_ylim(0, 1.02)
+    for ax in axes:
+        if not ax.lines:
+            _empty(ax, "not recorded by this filter")
+    _finish(axes[0], "Particles that carry weight", "", "share", legend=True)
+    _finish(axes[1], "Log-likelihood of the estimate", "frame", "log-likelihood", legend=True)
+    return _png(figure)
+
+
+def plot_joint_angles(
+    frames: Frames, angles_rad: Array, names: Sequence[str], *, n_columns: int = 3
+) -> bytes:
+    """Joint angles over time as small multiples, all on the same scale.
+
+    frames : (T,).  angles_rad : (T, D) rad; NaN leaves a gap.  names : D texts; left is blue, right orange.
+    """
+    angles = np.degrees(np.asarray(angles_rad, dtype=np.float64))
+    if angles.shape != (len(frames), len(names)):
+        raise ValueError(f"angles_rad has shape {angles.shape}, expected {(len(frames), len(names))}")
+    n_rows = max(1, -(-len(names) // n_columns))
+    figure, axes = _figure(n_rows, height=1.25, n_columns=n_columns)
+    finite = angles[np.isfinite(angles)]
+    reach = 1.05 * float(np.abs(finite).max()) if finite.size else 90.0
+    for i, ax in enumerate(axes):
+        if i >= len(names):
+            ax.set_visible(False)
+            continue
+        side = side_of_landmark(names[i])
+        colour = _hex(SIDE_COLOURS[side]) if side != "middle" else _INK
+        ax.axhline(0, color=_FAINT, lw=0.9)
+        ax.plot(frames, angles[:, i], marker=_marker(frames), color=colour, lw=1.3)
+        ax.set_ylim(-max(reach, 10), max(reach, 10))
+        is_last = i + n_columns >= len(names)
+        _finish(
+            ax,
+            _words(names[i]),
+            "frame" if is_last else "",
+            "degrees" if i % n_columns == 0 else "",
+            small=True,
+        )
+    if not names:
+        axes[0].set_visible(True)
+        _empty(axes[0], "no joint angles")
+    return _png(figure)
+
+
+def _figure(n_rows: int, *, height: float, width: float = 9.0, n_columns: int = 1) -> tuple[Any, list[Any]]:
+    """A white figure and its axes, row by row; height is inches per row."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(
+        figsize=(width, 0.35 + height * n_rows), dpi=_DPI, layout="constrained", facecolor="white"
+    )
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(n_rows, n_columns, squeeze=False)
+    return figure, list(axes.ravel())
+
+
+def _finish(
+    ax: Any, title: str, x: str, y: str, *, legend: bool = False, grid: str = "y", small: bool = False
+) -> None:
+    """The house style of one pair of axes: few lines, dark ink, a faint grid."""
+    size = 8 if small else 10
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        ax.spines[side].set_color("#8a939e")
+    ax.tick_params(labelsize=size - 1, colors=_INK, color="#8a939e", length=3)
+    ax.set_axisbelow(True)
+    ax.grid(axis=grid, color=_FAINT, lw=0.7)
+    if title:
+        ax.set_title(title, fontsize=size + 0.5, loc="left", color=_INK, fontweight="bold")
+    ax.set_xlabel(x, fontsize=size, color=_INK)
+    ax.set_ylabel(y, fontsize=size, color=_INK)
+    handles, labels = ax.get_legend_handles_labels()
+    if legend and handles:
+        columns = 1 if len(handles) <= _MAX_LEGEND else 2
+        ax.legend(handles[: 2 * _MAX_LEGEND], labels[: 2 * _MAX_LEGEND], fontsize=size - 1, ncols=columns,
+                  loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)  # fmt: skip
+
+
+def _note(ax: Any, text: str, at: Any, offset_pt: tuple[float, float], **style: Any) -> None:
+    ax.annotate(text, at, offset_pt, textcoords="offset points", fontsize=8.5, color=_INK, **style)
+
+
+def _marker(frames: Frames) -> str:
+    """A single instant has no line to see: mark its points."""
+    return "o" if len(frames) < 3 else ""
+
+
+def _empty(ax: Any, text: str) -> None:
+    ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", color="#6b7480", fontsize=11)
+    ax.set_xticks([])
+    ax.set_yticks([])
+
+
+def _line(i: int) -> dict[str, str]:
+    styles = LINE_STYLES[(i // len(LINE_COLOURS)) % len(LINE_STYLES)]
+    return {"color": LINE_COLOURS[i % len(LINE_COLOURS)], "ls": styles}
+
+
+def _row_statistic(errors: Array, statistic: Any) -> Array:
+    """Statistic of the finite errors of each row, NaN where a row has none."""
+    rows = [row[np.isfinite(row)] for row in np.asarray(errors, dtype=np.float64)]
+    return np.array([float(statistic(row)) if row.size else np.nan for row in rows])
+
+
+def _hex(colour: Colour) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def _words(name: str) -> str:
+    return str(name).replace("_", " ")
+
+
+def _png(figure: Any) -> bytes:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()

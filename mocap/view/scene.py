@@ -1,0 +1,340 @@
+"""The 3D scene of a run as a Rerun recording: cameras, images, coloured voxels and bodies on a time line.
+
+rerun-sdk is an optional extra (`view`) and is imported when the first scene is written. Only a file is written:
+no viewer opens and nothing is sent anywhere.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from operator import length_hint
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import BONES, LANDMARKS, Camera, CameraRig, Hull, Tracks
+from mocap.errors import MocapError
+from mocap.view.overlay import SIDE_COLOURS, BodyPart, person_colour, side_of_landmark
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+MAX_BYTES = 28_000_000
+IMAGE_WIDTH = 480
+TIMELINE = "frame"
+
+_JPEG_QUALITY = 75
+_BYTES_PER_VOXEL = 17  # position and colour as stored, with a little overhead
+_BYTES_PER_PERSON = 6_000  # skeleton, capsules and labels of one frame
+_IMAGE_SHARE = 0.6  # of what is left after the persons; the rest is for voxels
+_MIN_VOXELS = 400
+_MAX_VOXELS = 20_000
+_DEFAULT_FRAMES = 300
+_IMAGE_PLANE_M = 0.45
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFrame:
+    """What is shown of one frame.
+
+    images : camera name -> (H, W, 3) uint8 RGB as filmed, or None.  hull : world frame, or None.
+    persons : person -> landmarks (15, 3) m, world, NaN = unknown.  parts : person -> fitted body parts.
+    """
+
+    frame: int
+    time_s: float
+    images: Mapping[str, Image] | None = None
+    hull: Hull | None = None
+    persons: Mapping[int, Array] = field(default_factory=dict)
+    parts: Mapping[int, Sequence[BodyPart]] = field(default_factory=dict)
+
+
+def write_rrd(
+    path: Path,
+    rig: CameraRig,
+    frames: Iterable[SceneFrame],
+    *,
+    tracks: Tracks | None = None,
+    bounds_m: Sequence[Sequence[float]] | None = None,
+    n_frames: int | None = None,
+    image_width: int = IMAGE_WIDTH,
+    max_bytes: int = MAX_BYTES,
+) -> None:
+    """Write a recording (.rrd) that the Rerun viewer opens; frames are taken one at a time.
+
+    frames : ascending; none at all give the cameras alone.  tracks : paths of the persons.  bounds_m : room.
+    n_frames : how many frames will come, if known: voxels and images are thinned so that the file stays below
+    max_bytes. Images are undistorted, because the viewer's camera model is the pinhole; those of fisheye
+    cameras keep what a pinhole of the same matrix can show.
+    Raises MocapError when rerun-sdk is not installed or the file cannot be written.
+    """
+    rr = _import_rerun(path)
+    target = Path(path)
+    part = target.with_name(target.name + ".part")
+    count = n_frames or length_hint(frames, 0) or _DEFAULT_FRAMES
+    lenses = {camera.name: _Lens.of(camera, image_width) for camera in rig}
+    budget = _Budget(max_bytes, count)
+    try:
+        # rerun reports an unwritable file late and in its own words, so the file is tried first
+        part.write_bytes(b"")
+        stream = rr.RecordingStream("mocap", recording_id=target.stem, send_properties=False)
+        stream.save(part, default_blueprint=_blueprint(rig))
+        try:
+            _log_static(rr, stream, rig, lenses, tracks, bounds_m)
+            shown: set[int] = set()
+            for item in frames:
+                stream.set_time(TIMELINE, sequence=int(item.frame))
+                stream.set_time("time", duration=float(item.time_s))
+                _log_persons(rr, stream, item, shown)
+                budget.spend_on_persons(len(item.persons))
+                _log_hull(rr, stream, item.hull, budget)
+                _log_images(rr, stream, item, lenses, budget)
+        finally:
+            stream.flush()
+            stream.disconnect()
+        os.replace(part, target)
+    except OSError as error:
+        raise MocapError(
+            f"the 3D scene cannot be written: {error.strerror or error}",
+            remedy="choose an output folder that exists, is writable and has space left",
+            path=target,
+        ) from error
+    finally:
+        if part.exists():
+            part.unlink()
+
+
+class _Budget:
+    """How many bytes the heavy parts may still take, so that a long session does not make a huge file."""
+
+    def __init__(self, max_bytes: int, n_frames: int) -> None:
+        rest = max(0.15 * max_bytes, max_bytes - 1.5 * _BYTES_PER_PERSON * n_frames)
+        self.n_frames = n_frames
+        self.images_left = _IMAGE_SHARE * rest
+        self.hull_left = (1 - _IMAGE_SHARE) * rest
+        self.persons_over = 0
+        self.image_stride = 0
+        self.seen = 0
+        voxels = self.hull_left / n_frames / _BYTES_PER_VOXEL
+        self.voxels_per_frame = int(np.clip(voxels, _MIN_VOXELS, _MAX_VOXELS))
+
+    def spend_on_persons(self, n_persons: int) -> None:
+        """Bodies are always written; more than one takes its bytes from the images."""
+        self.images_left -= max(0, n_persons - 1) * _BYTES_PER_PERSON
+
+    def takes_hull(self, n_voxels: int) -> bool:
+        cost = n_voxels * _BYTES_PER_VOXEL
+        if cost > self.hull_left:
+            return False
+        self.hull_left -= cost
+        return True
+
+    def takes_images(self, cost: int) -> bool:
+        """Whether this frame's images fit; the stride is set by what the first ones cost."""
+        if self.image_stride == 0:
+            self.image_stride = max(1, int(np.ceil(cost * self.n_frames / max(self.images_left, 1.0))))
+        if cost > self.images_left:
+            return False
+        self.images_left -= cost
+        return True
+
+    def is_image_turn(self) -> bool:
+        self.seen += 1
+        return self.image_stride == 0 or (self.seen - 1) % self.image_stride == 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Lens:
+    """Maps a camera's picture to the small undistorted one that is shown, and that one's pinhole matrix."""
+
+    size: tuple[int, int]
+    K: Array
+    map_u: NDArray[np.float32]
+    map_v: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, camera: Camera, width: int) -> _Lens:
+        w, h = camera.size
+        scale = min(1.0, width / w)
+        size = (max(1, round(w * scale)), max(1, round(h * scale)))
+        # pixel centres are whole numbers, hence the half pixel around the scaling
+        zoom = np.diag([size[0] / w, size[1] / h, 1.0])
+        half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
+        K = np.linalg.inv(half) @ zoom @ half @ camera.K
+        if camera.is_fisheye:
+            dist = np.zeros(4)
+            dist[: min(4, len(camera.dist))] = camera.dist[:4]
+            maps = cv2.fisheye.initUndistortRectifyMap(camera.K, dist, np.eye(3), K, size, cv2.CV_32FC1)
+        else:
+            maps = cv2.initUndistortRectifyMap(camera.K, camera.dist, np.eye(3), K, size, cv2.CV_32FC1)
+        return cls(size, K, maps[0], maps[1])
+
+    def apply(self, image: Image) -> Image:
+        return np.asarray(cv2.remap(image, self.map_u, self.map_v, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+def _import_rerun(path: Path) -> Any:
+    try:
+        import rerun
+    except ImportError as error:
+        raise MocapError(
+            "the 3D scene needs rerun-sdk, which is not installed",
+            remedy="install the extra with `pip install 'mocap[view]'`, or leave the scene out",
+            path=path,
+        ) from error
+    return rerun
+
+
+def _blueprint(rig: CameraRig) -> Any:
+    import rerun.blueprint as rrb
+
+    pictures = [rrb.Spatial2DView(origin=_camera_path(c), name=c.name) for c in rig]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(origin="world", name="scene"), rrb.Grid(*pictures), column_shares=[3, 2]
+        ),
+        rrb.TimePanel(state="collapsed"),
+        collapse_panels=True,
+    )
+
+
+def _camera_path(camera: Camera) -> str:
+    return f"world/cameras/{camera.name}"
+
+
+def _log_static(
+    rr: Any,
+    stream: Any,
+    rig: CameraRig,
+    lenses: Mapping[str, _Lens],
+    tracks: Tracks | None,
+    bounds_m: Sequence[Sequence[float]] | None,
+) -> None:
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    note = (
+        "# mocap\n\nMetres, z up, floor z = 0. Images are undistorted to the pinhole model of their camera."
+    )
+    stream.log("about", rr.TextDocument(note, media_type="text/markdown"), static=True)
+    for camera in rig:
+        lens = lenses[camera.name]
+        centred = lens.K.copy()
+        centred[:2, 2] += 0.5  # the viewer counts from the corner of the first pixel
+        stream.log(
+            _camera_path(camera),
+            rr.Transform3D(translation=camera.center, mat3x3=camera.R.T),
+            rr.Pinhole(image_from_camera=centred, resolution=lens.size, image_plane_distance=_IMAGE_PLANE_M),
+            static=True,
+        )
+    if bounds_m is not None:
+        lower, upper = (np.asarray(b, dtype=np.float64) for b in bounds_m)
+        box = rr.Boxes3D(mins=[lower], sizes=[upper - lower], colors=[[140, 148, 158]], radii=[0.004])
+        stream.log("world/room", box, static=True)
+        stream.log("world/floor", _floor(rr, lower, upper), static=True)
+    if tracks is not None and len(tracks):
+        for person in tracks.persons:
+            path = tracks.of(person).xyz
+            path = path[np.isfinite(path).all(axis=1)]
+            if len(path) > 1:
+                line = rr.LineStrips3D([path], colors=[person_colour(person)], radii=[0.008])
+                stream.log(f"world/tracks/person_{person}", line, static=True)
+
+
+def _floor(rr: Any, lower: Array, upper: Array) -> Any:
+    xs = np.arange(np.ceil(lower[0]), np.floor(upper[0]) + 1)
+    ys = np.arange(np.ceil(lower[1]), np.floor(upper[1]) + 1)
+    lines = [[[x, lower[1], 0.0], [x, upper[1], 0.0]] for x in xs]
+    lines += [[[lower[0], y, 0.0], [upper[0], y, 0.0]] for y in ys]
+    return rr.LineStrips3D(lines, colors=[[110, 118, 128]], radii=[0.003])
+
+
+def _log_persons(rr: Any, stream: Any, item: SceneFrame, shown: set[int]) -> None:
+    for gone in shown - set(item.persons) - set(item.parts):
+        stream.log(f"world/persons/{gone}", rr.Clear(recursive=True))
+    shown.intersection_update({*item.persons, *item.parts})
+    for person, landmarks in item.persons.items():
+        shown.add(person)
+        base = f"world/persons/{person}"
+        points = np.asarray(landmarks, dtype=np.float64)
+        known = np.asarray(np.isfinite(points).all(axis=1))
+        bones = [(LANDMARKS.index(a), LANDMARKS.index(b)) for a, b in BONES]
+        bones = [ab for ab in bones if known[list(ab)].all()]
+        sides = [side_of_landmark(LANDMARKS[b]) for _, b in bones]
+        strips = [points[list(ab)] for ab in bones]
+        line = rr.LineStrips3D(strips, colors=[SIDE_COLOURS[s] for s in sides], radii=[0.012])
+        stream.log(f"{base}/skeleton", line)
+        joints = rr.Points3D(points[known], colors=[person_colour(person)], radii=[0.022])
+        stream.log(f"{base}/joints", joints)
+        if known.any():
+            top = points[known][np.argmax(points[known, 2])] + (0.0, 0.0, 0.15)
+            label = rr.Points3D(
+                [top], labels=[f"person {person}"], colors=[person_colour(person)], radii=[0.01]
+            )
+            stream.log(f"{base}/label", label)
+    for person, parts in item.parts.items():
+        shown.add(person)
+        stream.log(f"world/persons/{person}/body", _capsules(rr, parts))
+
+
+def _capsules(rr: Any, parts: Sequence[BodyPart]) -> Any:
+    """Truncated cones as capsules of their mean radius: the viewer knows no cones."""
+    starts, lengths, radii, turns, colours = [], [], [], [], []
+    for part in parts:
+        for p0, p1, r0, r1 in part.cones:
+            axis = np.asarray(p1, dtype=np.float64) - np.asarray(p0, dtype=np.float64)
+            length = float(np.linalg.norm(axis))
+            if not np.isfinite(length + r0 + r1) or not np.isfinite(p0).all():
+                continue
+            starts.append(np.asarray(p0, dtype=np.float64))
+            lengths.append(length)
+            radii.append(0.5 * (r0 + r1))
+            turns.append(_turn_from_z(axis / length) if length > 1e-9 else (0.0, 0.0, 0.0, 1.0))
+            colours.append((*SIDE_COLOURS[part.side], 150))
+    return rr.Capsules3D(translations=starts, lengths=lengths, radii=radii, quaternions=turns, colors=colours)
+
+
+def _turn_from_z(direction: Array) -> tuple[float, float, float, float]:
+    """Quaternion (x, y, z, w) of the shortest rotation from +z to a unit direction (3,)."""
+    w = 1.0 + float(direction[2])
+    if w < 1e-9:
+        return (1.0, 0.0, 0.0, 0.0)
+    q = np.array([-direction[1], direction[0], 0.0, w])
+    q /= np.linalg.norm(q)
+    return (float(q[0]), float(q[1]), float(q[2]), float(q[3]))
+
+
+def _log_hull(rr: Any, stream: Any, hull: Hull | None, budget: _Budget) -> None:
+    """Surface voxels in their colour; evenly thinned, and then larger, when there are too many."""
+    surface = None if hull is None else hull.select(hull.is_surface)
+    if surface is None or len(surface) == 0:
+        stream.log("world/hull", rr.Clear(recursive=False))
+        return
+    step = max(1, int(np.ceil(len(surface) / budget.voxels_per_frame)))
+    chosen = np.arange(0, len(surface), step)
+    if not budget.takes_hull(len(chosen)):
+        stream.log("world/hull", rr.Clear(recursive=False))
+        return
+    rgb = np.where((surface.n_views > 0)[:, None], surface.rgb, np.uint8(150))[chosen]
+    radius = 0.55 * surface.grid.voxel_size_m * np.sqrt(step)
+    stream.log("world/hull", rr.Points3D(surface.centers[chosen], colors=rgb, radii=[radius]))
+
+
+def _log_images(rr: Any, stream: Any, item: SceneFrame, lenses: Mapping[str, _Lens], budget: _Budget) -> None:
+    if not item.images or not budget.is_image_turn():
+        return
+    coded = {}
+    for name, image in item.images.items():
+        if name not in lenses:
+            raise ValueError(f"frame {item.frame} has an image of {name!r}, which is not in the rig")
+        small = np.ascontiguousarray(lenses[name].apply(image)[..., ::-1])
+        ok, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        if not ok:
+            raise ValueError(f"the image of {name!r} in frame {item.frame} cannot be coded as JPEG")
+        coded[name] = data.tobytes()
+    if budget.takes_images(sum(len(content) for content in coded.values())):
+        for name, content in coded.items():
+            stream.log(f"world/cameras/{name}", rr.EncodedImage(contents=content, media_type="image/jpeg"))

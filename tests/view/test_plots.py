@@ -1,0 +1,101 @@
+"""Plots: each returns a PNG that shows its data, and none touches matplotlib's global state."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import view_world as world
+
+from mocap.data import LANDMARKS, Tracks
+from mocap.view.plots import (
+    FilterHealth,
+    plot_error_over_time,
+    plot_filter_health,
+    plot_foreground_share,
+    plot_joint_angles,
+    plot_landmark_errors,
+    plot_stage_timing,
+    plot_track_map,
+)
+
+T = 23
+
+
+def decoded(png: bytes) -> np.ndarray:
+    assert png.startswith(b"\x89PNG")
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    assert min(image.shape[:2]) > 100
+    assert image.std() > 5  # a blank figure has next to none
+    return image
+
+
+def some_tracks() -> Tracks:
+    frame = np.repeat(np.arange(T), 2)
+    person = np.tile([1, 2], T)
+    xyz = np.column_stack([np.sin(frame / 9 + person), np.cos(frame / 7), np.ones(2 * T)])
+    return Tracks(frame, person, frame / 30, xyz)
+
+
+def test_errors_over_time_survive_missing_values():
+    errors = np.random.default_rng(0).uniform(10, 150, (T, 15))
+    errors[3:6] = np.nan
+    errors[:, 2] = np.nan
+    full = decoded(plot_error_over_time({1: (np.arange(T), errors), 2: (np.arange(T - 4), errors[4:])}))
+    assert full.shape[0] > decoded(plot_error_over_time({1: (np.arange(T), errors)})).shape[0]
+    decoded(plot_error_over_time({1: (np.arange(T), errors * np.nan)}))
+    decoded(plot_error_over_time({}))
+    decoded(plot_error_over_time({1: (np.arange(1), errors[:1])}))
+
+
+def test_landmark_bars():
+    means = dict(zip(LANDMARKS, np.linspace(20, 120, 15), strict=True))
+    decoded(plot_landmark_errors(means, dict.fromkeys(LANDMARKS, 12.0)))
+    decoded(plot_landmark_errors({**means, "head": float("nan")}))
+    decoded(plot_landmark_errors({}))
+
+
+def test_track_map_with_and_without_paths():
+    bounds = ((-2.0, -1.5, 0.0), (2.0, 1.5, 2.2))
+    with_paths = plot_track_map(world.rig(), some_tracks(), some_tracks(), bounds_m=bounds)
+    decoded(with_paths)
+    none = Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros(0), np.zeros((0, 3)))
+    assert plot_track_map(world.rig(), none) != with_paths
+    decoded(plot_track_map(world.rig(), None))
+
+
+def test_other_plots():
+    frames = np.arange(T)
+    decoded(plot_stage_timing({"carve": 3.0, "pose": 80.0, "report": float("nan")}))
+    decoded(plot_stage_timing({}))
+    decoded(plot_foreground_share(frames, {"a": np.full(T, 0.1), "b": np.full(T, 0.2)}))
+    decoded(plot_foreground_share(frames, {}))
+    health = FilterHealth(1, frames, np.full(T, 0.5), None, -np.arange(T, dtype=float))
+    decoded(plot_filter_health([health, FilterHealth(2, frames)]))
+    decoded(plot_filter_health([]))
+    names = ["waist", "left_knee", "right_knee", "right_hip"]
+    decoded(plot_joint_angles(frames, np.full((T, 4), 0.3), names))
+    decoded(plot_joint_angles(frames, np.full((T, 4), np.nan), names))
+    decoded(plot_joint_angles(frames, np.zeros((T, 0)), []))
+    with pytest.raises(ValueError, match="angles_rad"):
+        plot_joint_angles(frames, np.zeros((T, 3)), names)
+
+
+def test_same_data_gives_the_same_bytes():
+    assert plot_stage_timing({"a": 1.0, "b": 2.0}) == plot_stage_timing({"a": 1.0, "b": 2.0})
+
+
+def test_matplotlib_and_rerun_are_imported_only_when_needed():
+    code = (
+        "import sys, mocap.view; print([m for m in ('matplotlib', 'rerun', 'pyarrow') if m in sys.modules])"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"
+    code = "import sys; from mocap.view import plot_stage_timing as plot; plot({'a': 1.0}); "
+    code += "print('matplotlib.pyplot' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "False"

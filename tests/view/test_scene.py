@@ -1,0 +1,122 @@
+"""The 3D recording: written whole, bounded in size, and a missing extra is one clear message."""
+
+from __future__ import annotations
+
+import builtins
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import view_world as world
+from scipy.spatial.transform import Rotation
+
+from mocap.data import Camera, Tracks
+from mocap.errors import MocapError
+from mocap.view import scene
+from mocap.view.scene import SceneFrame, write_rrd
+
+needs_rerun = pytest.mark.skipif(
+    importlib.util.find_spec("rerun") is None, reason="rerun-sdk is not installed"
+)
+BOUNDS = ((-2.0, -1.5, 0.0), (2.0, 1.5, 2.2))
+
+
+@pytest.fixture(scope="module")
+def frame() -> SceneFrame:
+    landmarks = world.pose(0.2)
+    parts = world.body(landmarks)
+    masks = [world.silhouette(c, parts) for c in world.rig()]
+    rng = np.random.default_rng(1)
+    images = {c.name: world.picture(c, m, rng) for c, m in zip(world.rig(), masks, strict=True)}
+    return SceneFrame(4, 0.2, images, world.hull(world.rig(), masks, 0.06), {1: landmarks}, {1: parts})
+
+
+@needs_rerun
+def test_writes_a_recording(tmp_path: Path, frame):
+    path = tmp_path / "scene.rrd"
+    unknown = np.full((15, 3), np.nan)
+    frames = [
+        frame,
+        replace(frame, frame=5, images=None, hull=None),
+        replace(frame, frame=6, persons={1: unknown, 2: frame.persons[1]}, parts={}),
+        SceneFrame(7, 0.3),
+    ]
+    table = Tracks(np.arange(4), np.ones(4, int), np.arange(4) / 30, np.arange(12.0).reshape(4, 3))
+    write_rrd(path, world.rig(), frames, tracks=table, bounds_m=BOUNDS)
+    content = path.read_bytes()
+    assert content[:4] == b"RRF2"
+    assert len(content) > 10_000
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.rrd"]
+
+
+@needs_rerun
+def test_cameras_alone_make_a_recording(tmp_path: Path):
+    write_rrd(tmp_path / "a.rrd", world.rig(), [])
+    assert (tmp_path / "a.rrd").stat().st_size > 500
+
+
+@needs_rerun
+def test_long_sessions_stay_below_the_limit(tmp_path: Path, frame):
+    rng = np.random.default_rng(2)
+    limit = 900_000
+
+    def frames():
+        for i in range(60):
+            noise = {n: rng.integers(0, 255, im.shape, dtype=np.uint8) for n, im in frame.images.items()}
+            yield replace(frame, frame=i, images=noise)
+
+    write_rrd(tmp_path / "a.rrd", world.rig(), frames(), max_bytes=limit)
+    assert (tmp_path / "a.rrd").stat().st_size < 1.2 * limit
+
+
+@needs_rerun
+def test_failure_leaves_the_earlier_file(tmp_path: Path, frame):
+    path = tmp_path / "a.rrd"
+    path.write_bytes(b"earlier")
+    stranger = replace(frame, images={"nobody": frame.images["front"]})
+    with pytest.raises(ValueError, match="nobody"):
+        write_rrd(path, world.rig(), [stranger])
+    assert path.read_bytes() == b"earlier"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
+    with pytest.raises(MocapError, match="Remedy"):
+        write_rrd(tmp_path / "missing" / "a.rrd", world.rig(), [frame])
+
+
+def test_missing_extra_is_one_clear_message(tmp_path: Path, monkeypatch):
+    real = builtins.__import__
+
+    def without_rerun(name, *args, **kwargs):
+        if name.startswith("rerun"):
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without_rerun)
+    with pytest.raises(MocapError, match=r"mocap\[view\]"):
+        write_rrd(tmp_path / "a.rrd", world.rig(), [])
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("is_fisheye", [False, True])
+def test_shown_picture_agrees_with_its_pinhole(is_fisheye):
+    base = world.rig()["front"]
+    camera = Camera("a", base.size, base.K, [-0.1, 0.02, 0.0, 0.0], base.R, base.t, is_fisheye)
+    lens = scene._Lens.of(camera, 200)
+    assert lens.size == (200, round(244 * 200 / 320))
+    for point in (np.array([0.0, 0.1, 1.0]), np.array([0.4, -0.5, 0.3])):
+        in_camera = camera.R @ point + camera.t
+        shown = lens.K @ (in_camera / in_camera[2])
+        u, v = np.rint(shown[:2]).astype(int)
+        filmed = camera.project(point)[0]
+        # the map tells from which filmed pixel each shown pixel comes
+        assert np.hypot(lens.map_u[v, u] - filmed[0], lens.map_v[v, u] - filmed[1]) < 1.5
+
+
+def test_turn_from_z_turns_z():
+    rng = np.random.default_rng(3)
+    directions = rng.normal(size=(20, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for direction in [*directions, np.array([0.0, 0, 1]), np.array([0.0, 0, -1])]:
+        turn = Rotation.from_quat(scene._turn_from_z(direction))
+        assert np.allclose(turn.apply([0.0, 0, 1]), direction, atol=1e-9)
