@@ -1,1 +1,42 @@
-"""metrics stage."""
+"""Scores against the truth: points, angles, tracking, volume, uncertainty, and all of them at once."""
+
+from mocap.metrics.angles import ANGLES, AngleScores, angle_scores, joint_angles
+from mocap.metrics.evaluate import associate_persons, evaluate, length_unit
+from mocap.metrics.points import (
+    PointScores,
+    epsilon_lilliefors,
+    epsilon_qq,
+    lost_wrist_percent,
+    offset_corrected,
+    pck_percent,
+    point_errors,
+    point_scores,
+)
+from mocap.metrics.tracking import TrackingScores, tracking_scores
+from mocap.metrics.uncertainty import CoverageScores, coverage_scores
+from mocap.metrics.volume import VolumeScores, sum_volume_scores, volume_scores
+
+__all__ = [
+    "ANGLES",
+    "AngleScores",
+    "CoverageScores",
+    "PointScores",
+    "TrackingScores",
+    "VolumeScores",
+    "angle_scores",
+    "associate_persons",
+    "coverage_scores",
+    "epsilon_lilliefors",
+    "epsilon_qq",
+    "evaluate",
+    "joint_angles",
+    "length_unit",
+    "lost_wrist_percent",
+    "offset_corrected",
+    "pck_percent",
+    "point_errors",
+    "point_scores",
+    "sum_volume_scores",
+    "tracking_scores",
+    "volume_scores",
+]

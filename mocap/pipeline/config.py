@@ -101,10 +101,10 @@ class PoseConfig(_Section):
     """Second-order refinement of every estimate on the hull's surface; false = the published filter alone."""
     feedback_share: float = Field(default=0.5, ge=0, lt=1)
     """Share of the particles that take over the refined pose."""
-    n_start_frames: int = Field(default=5, ge=1)
+    n_start_frames: int = Field(default=3, ge=1)
     """Frames of the first two seconds in which the first pose is looked for."""
     n_first_poses: int = Field(default=12, ge=1)
-    """Candidates that are followed up in each of them."""
+    """Candidates that are followed to the end in each of them; five times as many are followed briefly."""
 
 
 class OutputConfig(_Section):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from mocap.body import (
     scale_body,
 )
 from mocap.body.initial import HeightEstimate
-from mocap.data import VoxelGrid
+from mocap.data import LANDMARKS, VoxelGrid
 from mocap.filters import (
     FILTERS,
     ApfSettings,
@@ -48,10 +48,14 @@ CROP_MARGIN_M = 0.4  # how far beyond the hull particles may meet themselves
 MIN_VOXELS = 200  # fewer (1.6 litres at 2 cm) are no body: the pose is carried on instead
 _SEARCH_STD_M = 0.06
 _SEARCH_STD_RAD = 0.2
-_SEARCH_COPIES = 8
+_SEARCH_COPIES = 12
 _FACING_NATS = 8.0  # cost of facing against the direction of walking, CF 6.3.3 takes it as a certainty
 _MOVING_M = 0.15
 _OBSERVED_OCCUPANCY = 0.5
+_BLIND_STD_M = 0.02
+_TRIAL_S = 3.0  # how far each way two starting hypotheses are compared
+_TRIAL_STRIDE = 3
+_CLEAR_FACING_NATS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +121,10 @@ class PoseTools:
         """(D,) standard deviation per frame: half of the largest expected movement (CF 3.2.2)."""
         return 0.5 * self.body.max_speed / self.fps * self.pose.noise_scale
 
-    @property
-    def refine_settings(self) -> RefineSettings:
+    def refine_settings(self, n_iterations: int = 12) -> RefineSettings:
+        """Settings of the refinement, with a weak prior at the filter's estimate."""
         is_position = np.arange(self.body.layout.n_columns) < 3
-        return RefineSettings(prior_std=np.where(is_position, 0.1, 0.5))
+        return RefineSettings(prior_std=np.where(is_position, 0.1, 0.5), n_iterations=n_iterations)
 
     def problems(self, hull: PersonHull) -> tuple[VoxelProblem, SurfaceProblem]:
         volume = pack_volume(self.grid, hull, self.pose.surface_sigma_voxels)
@@ -163,16 +167,20 @@ class FirstPose:
     log_likelihood: float
 
 
-def find_first_pose(
+def find_first_poses(
     tools: PoseTools, hull: PersonHull, frame: int, walking_xy: Array | None, *, rng: np.random.Generator
-) -> FirstPose:
-    """The best pose in one frame without a track: many kinds of poses in all directions, then short filters.
+) -> list[FirstPose]:
+    """The best pose in one frame without a track, and the best one that faces the other way, best first.
 
+    Many kinds of poses in all directions, then short filters, by successive halving.
     walking_xy : (2,) displacement of the person around this frame, m, or None; when the person walks, facing the
     other way costs likelihood.
     Source: CF 6.3.3; departs from it: the volume decides, the displacement is a prior.
     """
     problem, surface = tools.problems(hull)
+    coarse = SurfaceProblem(
+        tools.body, tools.table, surface.hull, SurfaceFitSettings(n_hull_points=400, n_flesh_points=150)
+    )
     layout = tools.body.layout
     yaws: Array = np.arange(16, dtype=np.float64) * (2 * np.pi / 16)
     is_moving = walking_xy is not None and float(np.hypot(*walking_xy)) > _MOVING_M
@@ -181,30 +189,55 @@ def find_first_pose(
         yaws += heading
     candidates, labels = candidate_states(tools.body, tools.grid.centers(hull.voxels), yaws)
     std = np.where(np.arange(layout.n_columns) < 3, _SEARCH_STD_M, _SEARCH_STD_RAD)
-    yaw_column = int(np.flatnonzero(layout.is_circular)[0]) if layout.is_circular.any() else None
+    yaw = _yaw_column(tools.body)
 
     def score(states: Array) -> Array:
         value = problem.log_likelihood(states).sum(axis=1)
-        if is_moving and yaw_column is not None:
-            value -= _FACING_NATS * (1.0 - np.cos(states[:, yaw_column] - heading))
+        if is_moving and yaw is not None:
+            value -= _FACING_NATS * (1.0 - np.cos(states[:, yaw] - heading))
         return value
+
+    def attempt(
+        start: ParticleState, settings: ApfSettings, fit: SurfaceProblem, n_iterations: int
+    ) -> tuple[Array, float]:
+        _, info = apf_step(problem, start, settings, rng=rng)
+        refined, _ = refine(fit, info.estimate, tools.refine_settings(n_iterations))
+        states = np.stack([info.estimate, refined])
+        values = score(states)
+        top = int(values.argmax())
+        return states[top], float(values[top])
 
     copies = problem.propagate(np.repeat(candidates, _SEARCH_COPIES, axis=0), std, rng=rng)
     copies[::_SEARCH_COPIES] = candidates
-    first = score(copies).reshape(len(candidates), _SEARCH_COPIES)
+    value = score(copies).reshape(len(candidates), _SEARCH_COPIES)
     copies = copies.reshape(len(candidates), _SEARCH_COPIES, -1)
-    settings = ApfSettings(n_layers=8, n_particles=200, std=std, alpha=0.6)
-    best = FirstPose(frame, candidates[0], labels[0], -np.inf)
-    for k in np.argsort(-first.max(axis=1))[: tools.pose.n_first_poses]:
-        start = ParticleState(copies[k], np.full(_SEARCH_COPIES, 1.0 / _SEARCH_COPIES))
-        _, info = apf_step(problem, start, settings, rng=rng)
-        refined, _ = refine(surface, info.estimate, tools.refine_settings)
-        for state, value in zip(
-            (info.estimate, refined), score(np.stack([info.estimate, refined])), strict=True
-        ):
-            if value > best.log_likelihood:
-                best = FirstPose(frame, state, labels[k], float(value))
-    return best
+    equal = np.full(_SEARCH_COPIES, 1.0 / _SEARCH_COPIES)
+    brief = ApfSettings(n_layers=4, n_particles=80, std=std, alpha=0.5)
+    tried = []
+    for k in np.argsort(-value.max(axis=1), kind="stable")[: 5 * tools.pose.n_first_poses]:
+        state, reached = attempt(ParticleState(copies[k], equal), brief, coarse, 5)
+        tried.append(FirstPose(frame, state, labels[k], reached))
+    tried.sort(key=lambda found: -found.log_likelihood)
+    chosen = tried[: tools.pose.n_first_poses]
+    if yaw is not None:
+        # The silhouette of a person from behind is that of the front: follow the best of the other half too.
+        behind = [f for f in tried if np.cos(f.state[yaw] - tried[0].state[yaw]) < 0]
+        chosen += [f for f in behind[:3] if f not in chosen]
+    thorough = ApfSettings(n_layers=8, n_particles=200, std=std, alpha=0.6)
+    found = []
+    for start in chosen:
+        state, reached = attempt(initial_particles(problem, start.state, 2), thorough, surface, 12)
+        found.append(FirstPose(frame, state, start.label, reached))
+    found.sort(key=lambda f: -f.log_likelihood)
+    if yaw is None:
+        return found[:1]
+    other = [f for f in found if np.cos(f.state[yaw] - found[0].state[yaw]) < 0]
+    return [found[0], *other[:1]]
+
+
+def _yaw_column(body: Body) -> int | None:
+    columns = np.flatnonzero(body.layout.is_circular)
+    return int(columns[0]) if len(columns) else None
 
 
 def _walking(frames: NDArray[np.int64], xyz: Array, i: int, fps: float) -> Array | None:
@@ -214,6 +247,129 @@ def _walking(frames: NDArray[np.int64], xyz: Array, i: int, fps: float) -> Array
     if a == b:
         return None
     return xyz[b, :2] - xyz[a, :2]
+
+
+@dataclass(frozen=True, eq=False)
+class FramePose:
+    """The pose of one frame.  row : index into the person's frames; the rest as in `PersonPoses`."""
+
+    row: int
+    state: Array
+    landmarks: Array
+    landmark_std: Array
+    observed: NDArray[np.bool_]
+    log_likelihood: float
+    ess_share: float
+
+
+def filter_frames(
+    tools: PoseTools,
+    person: int,
+    frames: NDArray[np.int64],
+    xyz: Array,
+    hull_of: HullOf,
+    order: Sequence[int],
+    first: Array,
+    *,
+    seed: int,
+    stage: str,
+) -> Iterator[FramePose]:
+    """Run the filter over rows `order` of a person's frames, from the pose `first` (D,) in the first of them.
+
+    frames : (T,).  xyz : (T, 3) m, track.  A frame without a usable hull carries the pose on with growing uncertainty
+    and observed = False.
+    """
+    step = FILTERS[tools.pose.filter]
+    settings = ApfSettings(
+        n_layers=tools.pose.n_layers,
+        n_particles=tools.pose.n_particles,
+        std=tools.noise_std,
+        alpha=tools.pose.survival_rate,
+        resampling=tools.pose.resampling,
+    )
+    particles: ParticleState | None = None
+    estimate = first
+    last_xyz = xyz[order[0]] if len(order) else np.zeros(3)
+    blind_std = 0.0
+    for i in order:
+        hull = hull_of(int(frames[i]))
+        if hull is None or len(hull.voxels) < MIN_VOXELS:
+            blind_std += float(tools.noise_std[0])
+            yield FramePose(
+                row=i,
+                state=estimate,
+                landmarks=landmarks_of(tools.body, estimate[None])[0],
+                landmark_std=np.full((len(LANDMARKS), 3), np.hypot(_BLIND_STD_M, blind_std)),
+                observed=np.zeros(len(LANDMARKS), dtype=np.bool_),
+                log_likelihood=float("nan"),
+                ess_share=float("nan"),
+            )
+            continue
+        problem, surface = tools.problems(hull)
+        if particles is None:
+            particles = initial_particles(problem, estimate, settings.n_particles)
+        if tools.pose.follow_track:
+            moved = particles.particles.copy()
+            moved[:, :3] += xyz[i] - last_xyz
+            particles = ParticleState(moved, particles.weights)
+        last_xyz = xyz[i]
+        blind_std = 0.0
+        rng = rng_for(seed, stage, person, int(frames[i]))
+        particles, info = step(problem, particles, settings, rng=rng)
+        spread = _landmark_std(tools.body, particles, info.estimate)
+        estimate = info.estimate
+        if tools.pose.refine:
+            estimate, _ = refine(surface, info.estimate, tools.refine_settings())
+            particles = _feed_back(particles, estimate, tools.pose.feedback_share)
+        scores = part_scores(tools.body, tools.table, problem.volume, estimate[None])
+        yield FramePose(
+            row=i,
+            state=estimate,
+            landmarks=landmarks_of(tools.body, estimate[None])[0],
+            landmark_std=np.hypot(spread, 0.5 * tools.grid.voxel_size_m),
+            observed=_observed_landmarks(tools.body, scores.occupied[0]),
+            log_likelihood=float(problem.log_likelihood(estimate[None]).sum()),
+            ess_share=float(info.ess[-1]) / settings.n_particles,
+        )
+
+
+def choose_hypothesis(
+    tools: PoseTools,
+    person: int,
+    frames: NDArray[np.int64],
+    xyz: Array,
+    hull_of: HullOf,
+    hypotheses: Sequence[FirstPose],
+    *,
+    seed: int,
+) -> tuple[FirstPose, Array]:
+    """The hypothesis that explains the seconds around its start best, and the mean log-likelihood of each, (K,).
+
+    Each is followed over every third frame with few particles. Front and back look alike in one frame; knees and
+    elbows that bend tell them apart over time.
+    """
+    if len(hypotheses) == 1:
+        return hypotheses[0], np.array([hypotheses[0].log_likelihood])
+    quick = replace(
+        tools,
+        fps=tools.fps / _TRIAL_STRIDE,
+        pose=tools.pose.model_copy(update={"n_layers": 4, "n_particles": 200}),
+    )
+    reach = round(_TRIAL_S * tools.fps)
+    values = []
+    for hypothesis in hypotheses:
+        start = int(np.searchsorted(frames, hypothesis.frame))
+        later = range(start, min(len(frames), start + reach), _TRIAL_STRIDE)
+        earlier = range(start, max(-1, start - reach), -_TRIAL_STRIDE)
+        reached = [
+            pose.log_likelihood
+            for order in (later, earlier)
+            for pose in filter_frames(
+                quick, person, frames, xyz, hull_of, order, hypothesis.state, seed=seed, stage="trial"
+            )
+        ]
+        values.append(float(np.nanmean(reached)))
+    return hypotheses[int(np.argmax(values))], np.array(values)
 
 
 def follow_person(
@@ -231,95 +387,44 @@ def follow_person(
 
     frames : (T,) ascending.  xyz : (T, 3) m, track.  hull_of : frame -> the person's voxels, or None.
     The first pose is looked for in a few frames of the first two seconds; the filter runs from the best of them to
-    the end, and back to the beginning. A frame without a hull carries the pose on, with growing uncertainty and
-    observed = False.
+    the end, and back to the beginning.
+    Raises ValueError when no frame has a usable hull.
     """
-    T, D = len(frames), tools.body.layout.n_columns
-    warnings: list[str] = []
+    T, D, M = len(frames), tools.body.layout.n_columns, len(LANDMARKS)
     usable = [i for i in range(T) if _is_usable(hull_of(int(frames[i])))]
     if not usable:
-        raise ValueError(f"person {person} has no frame with a hull")
+        raise ValueError(f"person {person} has no frame with a usable hull")
     window = [i for i in usable if frames[i] - frames[usable[0]] <= 2 * tools.fps]
     picks = np.unique(np.linspace(0, len(window) - 1, tools.pose.n_start_frames).astype(int))
-    best: FirstPose | None = None
+    hypotheses: list[FirstPose] = []
     for i in (window[p] for p in picks):
         frame = int(frames[i])
         hull = hull_of(frame)
-        if hull is None:
-            continue
-        found = find_first_pose(
-            tools,
-            hull,
-            frame,
-            _walking(frames, xyz, i, tools.fps),
-            rng=rng_for(seed, "first-pose", person, frame),
-        )
-        if best is None or found.log_likelihood > best.log_likelihood:
-            best = found
-    if best is None:
-        raise ValueError(f"person {person} has no frame with a hull")
+        if hull is not None:
+            rng = rng_for(seed, "first-pose", person, frame)
+            found = find_first_poses(tools, hull, frame, _walking(frames, xyz, i, tools.fps), rng=rng)
+            if not hypotheses or found[0].log_likelihood > hypotheses[0].log_likelihood:
+                hypotheses = found
+    best, trial = choose_hypothesis(tools, person, frames, xyz, hull_of, hypotheses, seed=seed)
     start = int(np.searchsorted(frames, best.frame))
 
     states = np.empty((T, D))
-    landmarks = np.empty((T, 15, 3))
-    std = np.empty((T, 15, 3))
-    observed = np.zeros((T, 15), dtype=np.bool_)
-    log_likelihood = np.full(T, np.nan)
-    ess_share = np.full(T, np.nan)
-    step = FILTERS[tools.pose.filter]
-    settings = ApfSettings(
-        n_layers=tools.pose.n_layers,
-        n_particles=tools.pose.n_particles,
-        std=tools.noise_std,
-        alpha=tools.pose.survival_rate,
-        resampling=tools.pose.resampling,
-    )
-
-    def run(order: range, stage: str) -> None:
-        particles: ParticleState | None = None
-        estimate = best.state
-        last_xyz = xyz[start]
-        blind_std = 0.0
-        for i in order:
-            frame = int(frames[i])
-            hull = hull_of(frame)
-            if hull is None or not _is_usable(hull):
-                # Nothing to see: carry on, and say so.
-                blind_std += float(tools.noise_std[0])
-                states[i] = estimate
-                landmarks[i] = landmarks_of(tools.body, estimate[None])[0]
-                std[i] = np.hypot(0.02, blind_std)
-                if progress is not None:
-                    progress(1)
-                continue
-            problem, surface = tools.problems(hull)
-            if particles is None:
-                particles = initial_particles(problem, estimate, settings.n_particles)
-            shift = xyz[i] - last_xyz if tools.pose.follow_track else np.zeros(3)
-            last_xyz = xyz[i]
-            blind_std = 0.0
-            moved = particles.particles.copy()
-            moved[:, :3] += shift
-            rng = rng_for(seed, stage, person, frame)
-            particles, info = step(problem, ParticleState(moved, particles.weights), settings, rng=rng)
-            spread = _landmark_std(tools.body, particles, info.estimate)
-            estimate = info.estimate
-            if tools.pose.refine:
-                estimate, _ = refine(surface, info.estimate, tools.refine_settings)
-                particles = _feed_back(particles, estimate, tools.pose.feedback_share)
-            states[i] = estimate
-            landmarks[i] = landmarks_of(tools.body, estimate[None])[0]
-            std[i] = np.hypot(spread, 0.5 * tools.grid.voxel_size_m)
-            scores = part_scores(tools.body, tools.table, problem.volume, estimate[None])
-            observed[i] = _observed_landmarks(tools.body, scores.occupied[0])
-            log_likelihood[i] = float(problem.log_likelihood(estimate[None]).sum())
-            ess_share[i] = float(info.ess[-1]) / settings.n_particles
+    landmarks, std = np.empty((T, M, 3)), np.empty((T, M, 3))
+    observed = np.zeros((T, M), dtype=np.bool_)
+    log_likelihood, ess_share = np.full(T, np.nan), np.full(T, np.nan)
+    for stage, order in (("pose", range(start, T)), ("pose-backwards", range(start, -1, -1))):
+        for pose in filter_frames(
+            tools, person, frames, xyz, hull_of, order, best.state, seed=seed, stage=stage
+        ):
+            i = pose.row
+            if i == start and stage != "pose":
+                continue  # the start was settled on the way forward
+            states[i], landmarks[i], std[i] = pose.state, pose.landmarks, pose.landmark_std
+            observed[i] = pose.observed
+            log_likelihood[i], ess_share[i] = pose.log_likelihood, pose.ess_share
             if progress is not None:
                 progress(1)
-
-    run(range(start, T), "pose")
-    if start > 0:
-        run(range(start - 1, -1, -1), "pose-backwards")
+    warnings: list[str] = []
     n_blind = T - len(usable)
     if n_blind:
         warnings.append(
@@ -330,6 +435,11 @@ def follow_person(
         warnings.append(
             f"person {person}: the standing height could not be read from the volume; "
             f"{height.height_m:.2f} m was taken. Remedy: set person_height_m in session.toml"
+        )
+    if len(trial) > 1 and abs(trial[0] - trial[1]) < _CLEAR_FACING_NATS:
+        warnings.append(
+            f"person {person}: it is not clear which way the person faces (two poses explain the volumes "
+            "almost equally well); left and right may be exchanged"
         )
     return PersonPoses(
         person=person,

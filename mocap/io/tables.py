@@ -1,0 +1,204 @@
+"""The CSV tables of a run and of a truth: tracks and landmarks, checked line by line when read."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import LANDMARKS, Motion, Tracks
+from mocap.errors import MocapError
+from mocap.io._files import atomic_text
+
+TRACK_COLUMNS = ("frame", "time_s", "person", "x_m", "y_m", "z_m")
+LANDMARK_COLUMNS = ("frame", "time_s", "person", "landmark", "x_m", "y_m", "z_m")
+UNCERTAINTY_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "observed")
+DETECTION_COLUMNS = ("frame", "u_px", "v_px")
+
+_LANDMARK_INDEX = {name: i for i, name in enumerate(LANDMARKS)}
+_OBSERVED = {"1": True, "0": False, "true": True, "false": False}
+
+
+def write_tracks_csv(path: Path | str, tracks: Tracks) -> None:
+    """Write tracks as `frame,time_s,person,x_m,y_m,z_m`, rows as given, six decimals, atomically."""
+    lines = [",".join(TRACK_COLUMNS)]
+    for frame, time, person, xyz in zip(tracks.frame, tracks.time_s, tracks.person, tracks.xyz, strict=True):
+        lines.append(",".join([str(int(frame)), _text(time), str(int(person)), *(_text(x) for x in xyz)]))
+    atomic_text(Path(path), "\n".join(lines) + "\n")
+
+
+def read_tracks_csv(path: Path | str) -> Tracks:
+    """Read tracks, sorted by frame, then person; a table with a header only gives empty tracks.
+
+    Raises MocapError with the line for a missing column, a number that is none, or a doubled row.
+    """
+    path = Path(path)
+    rows: dict[tuple[int, int], tuple[float, ...]] = {}
+    for line, row in _rows(path, TRACK_COLUMNS):
+        key = (_whole(path, line, row, "frame"), _whole(path, line, row, "person"))
+        if key in rows:
+            raise _bad(path, line, f"frame {key[0]} of person {key[1]} is there twice")
+        rows[key] = tuple(_number(path, line, row, c) for c in ("time_s", "x_m", "y_m", "z_m"))
+    keys = sorted(rows)
+    values = np.array([rows[k] for k in keys], dtype=np.float64).reshape(-1, 4)
+    index = np.array(keys, dtype=np.int64).reshape(-1, 2)
+    return Tracks(index[:, 0].copy(), index[:, 1].copy(), values[:, 0].copy(), values[:, 1:].copy())
+
+
+def write_landmarks_csv(path: Path | str, motions: Sequence[Motion]) -> None:
+    """Write the landmarks of all persons, rows by frame, person and order of LANDMARKS, atomically.
+
+    The columns std_*_m and observed are left out when no motion has either (a truth); NaN is written as `nan`,
+    a missing `observed` as an empty field.
+    """
+    has_more = any(m.std is not None or m.observed is not None for m in motions)
+    order = sorted((int(f), m.person, k, i) for k, m in enumerate(motions) for i, f in enumerate(m.frames))
+    buffer = io.StringIO()
+    columns = LANDMARK_COLUMNS + (UNCERTAINTY_COLUMNS if has_more else ())
+    buffer.write(",".join(columns) + "\n")
+    for frame, person, k, i in order:
+        motion = motions[k]
+        begin = f"{frame},{_text(motion.time_s[i])},{person}"
+        for j, name in enumerate(LANDMARKS):
+            fields = [begin, name, *(_text(x) for x in motion.landmarks[i, j])]
+            if has_more:
+                std = np.full(3, np.nan) if motion.std is None else motion.std[i, j]
+                fields += [_text(x) for x in std]
+                fields.append("" if motion.observed is None else str(int(motion.observed[i, j])))
+            buffer.write(",".join(fields) + "\n")
+    atomic_text(Path(path), buffer.getvalue())
+
+
+def read_landmarks_csv(path: Path | str) -> list[Motion]:
+    """Read the landmarks of all persons, one Motion each, ordered by person.
+
+    Landmarks that a frame does not list are NaN; `std` and `observed` are None where the file says nothing.
+    Raises MocapError with the line for a missing column, an unknown landmark, a number that is none, or a
+    doubled row.
+    """
+    path = Path(path)
+    places: dict[int, dict[int, dict[int, tuple[float, ...]]]] = {}
+    times: dict[tuple[int, int], float] = {}
+    observed: dict[tuple[int, int, int], bool] = {}
+    for line, row in _rows(path, LANDMARK_COLUMNS):
+        frame, person = _whole(path, line, row, "frame"), _whole(path, line, row, "person")
+        name = row["landmark"].strip()
+        if name not in _LANDMARK_INDEX:
+            raise _bad(path, line, f"unknown landmark {name!r}; known are {', '.join(LANDMARKS)}")
+        landmark = _LANDMARK_INDEX[name]
+        there = places.setdefault(person, {}).setdefault(frame, {})
+        if landmark in there:
+            raise _bad(path, line, f"{name} of person {person} in frame {frame} is there twice")
+        times.setdefault((person, frame), _number(path, line, row, "time_s"))
+        there[landmark] = tuple(
+            _number(path, line, row, c, may_miss=True)
+            for c in ("x_m", "y_m", "z_m", *UNCERTAINTY_COLUMNS[:3])
+        )
+        if word := row.get("observed", "").strip().lower():
+            if word not in _OBSERVED:
+                raise _bad(path, line, f"observed is {word!r}, expected 0 or 1")
+            observed[person, frame, landmark] = _OBSERVED[word]
+
+    motions = []
+    for person in sorted(places):
+        frames = sorted(places[person])
+        values = np.full((len(frames), len(LANDMARKS), 6), np.nan)
+        seen = np.zeros((len(frames), len(LANDMARKS)), dtype=np.bool_)
+        for i, frame in enumerate(frames):
+            for j, row_values in places[person][frame].items():
+                values[i, j] = row_values
+                seen[i, j] = observed.get((person, frame, j), False)
+        has_std = bool(np.isfinite(values[..., 3:]).any())
+        has_observed = any(key[0] == person for key in observed)
+        motions.append(
+            Motion(
+                person,
+                np.array(frames, dtype=np.int64),
+                np.array([times[person, f] for f in frames]),
+                values[..., :3].copy(),
+                values[..., 3:].copy() if has_std else None,
+                seen if has_observed else None,
+            )
+        )
+    return motions
+
+
+def read_detections_csv(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Read 2D marker detections of one camera: frame (n,) int64 ascending, uv (n, 2) px.
+
+    A frame without detections is simply not there. Raises MocapError as the other readers do.
+    """
+    path = Path(path)
+    frames, pixels = [], []
+    for line, row in _rows(path, DETECTION_COLUMNS):
+        frames.append(_whole(path, line, row, "frame"))
+        pixels.append([_number(path, line, row, c) for c in DETECTION_COLUMNS[1:]])
+    frame = np.array(frames, dtype=np.int64)
+    order = np.argsort(frame, kind="stable")
+    return frame[order], np.array(pixels, dtype=np.float64).reshape(-1, 2)[order]
+
+
+def write_detections_csv(path: Path | str, frame: NDArray[np.integer], uv: NDArray[np.floating]) -> None:
+    """Write 2D marker detections as `frame,u_px,v_px`: frame (n,), uv (n, 2) px."""
+    lines = [",".join(DETECTION_COLUMNS)]
+    lines += [f"{int(f)},{_text(u)},{_text(v)}" for f, (u, v) in zip(frame, uv, strict=True)]
+    atomic_text(Path(path), "\n".join(lines) + "\n")
+
+
+def _text(value: float) -> str:
+    return f"{float(value):.6f}"
+
+
+def _rows(path: Path, required: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
+    """(line number, fields by column) of a CSV file with at least the required columns."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            header = [c.strip() for c in next(reader, [])]
+            if missing := [c for c in required if c not in header]:
+                raise _bad(
+                    path, 1, f"column {', '.join(missing)} is missing; the file has {', '.join(header)}"
+                )
+            if len(set(header)) < len(header):
+                raise _bad(path, 1, "a column is there twice")
+            for fields in reader:
+                if not any(f.strip() for f in fields):
+                    continue
+                if len(fields) != len(header):
+                    raise _bad(path, reader.line_num, f"{len(fields)} fields, expected {len(header)}")
+                yield reader.line_num, dict(zip(header, fields, strict=True))
+    except OSError as error:
+        raise MocapError(
+            f"the table cannot be read: {error.strerror}", path=path, remedy="check the path"
+        ) from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise MocapError(f"not a CSV file: {error}", path=path, remedy="write the table again") from error
+
+
+def _number(path: Path, line: int, row: dict[str, str], column: str, *, may_miss: bool = False) -> float:
+    text = row.get(column, "").strip()
+    if not text and may_miss:
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise _bad(path, line, f"{column} is {text!r}, not a number") from error
+    if math.isinf(value) or (math.isnan(value) and not may_miss):
+        raise _bad(path, line, f"{column} is {text!r}, not a finite number")
+    return value
+
+
+def _whole(path: Path, line: int, row: dict[str, str], column: str) -> int:
+    value = _number(path, line, row, column)
+    if value != int(value) or value < 0:
+        raise _bad(path, line, f"{column} is {row[column]!r}, not a whole number from 0 on")
+    return int(value)
+
+
+def _bad(path: Path, line: int, message: str) -> MocapError:
+    return MocapError(f"line {line}: {message}", path=path, remedy="correct the table or write it again")

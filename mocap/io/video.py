@@ -1,0 +1,552 @@
+"""Pictures and masks from videos, folders and archives: sequential, constant memory, checked at every frame."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Generic, Protocol, TypeVar
+
+# FFmpeg writes a line per damaged macroblock to the terminal; what matters of it becomes a MocapError.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import CameraRig
+from mocap.errors import MocapError
+from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
+
+# The same for OpenCV's own warnings about files that it cannot open.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+Picture = TypeVar("Picture", bound=NDArray[Any])
+Picture_co = TypeVar("Picture_co", bound=NDArray[Any], covariant=True)
+Size = tuple[int, int]
+
+# Frames decoded ahead of the consumer, per worker.
+READ_AHEAD_FRAMES = 2
+MASK_THRESHOLD = 127
+# Up to here a header that lies is answered by counting every frame (0.3 ms each at 640 x 480).
+COUNT_BY_GRABBING_FRAMES = 20_000
+_REMEDY_CUT = "leave the damaged part out with `--frames a:b`, or copy the file again"
+
+
+@dataclass(frozen=True)
+class ClipInfo:
+    """What a source holds, without having decoded all of it.
+
+    n_frames : frames that can be decoded.  header_frames : what the video header promises, None for folders.
+    size : (width, height) px.  fps : of the video header, None when there is none.
+    """
+
+    path: Path
+    n_frames: int
+    size: Size
+    fps: float | None
+    header_frames: int | None = None
+
+
+def clip_info(path: Path | str, *, camera: str = "") -> ClipInfo:
+    """Count and measure a video, picture folder, single picture or mask archive, cheaply.
+
+    A video's header is believed only when its last frame can be decoded; otherwise the frames are counted.
+    Raises MocapError when the file is missing, unreadable, or holds no frame.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".npz":
+        masks = _npz_masks(path, camera)
+        return ClipInfo(path, masks.n_frames, masks.size, None)
+    if path.is_dir():
+        files = list_pictures(path)
+        if not files:
+            raise _empty(path, camera)
+        picture = _read_picture(files[0], camera, 0)
+        return ClipInfo(path, len(files), (picture.shape[1], picture.shape[0]), None)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        picture = _read_picture(path, camera, 0)
+        return ClipInfo(path, 1, (picture.shape[1], picture.shape[0]), None)
+    return _video_info(path, camera, _stamp(path, camera))
+
+
+def list_pictures(folder: Path) -> list[Path]:
+    """Pictures of a folder in natural order (frame_2 before frame_10); hidden files are left out."""
+    files = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+    return sorted(files, key=lambda p: natural_key(p.name))
+
+
+def iter_clip(path: Path | str, *, size: Size | None = None, camera: str = "") -> Iterator[Image]:
+    """RGB pictures (H, W, 3) uint8 of a video, picture folder or single picture, from first to last.
+
+    size : (width, height) px that every picture must have; None = whatever the first one has.
+    Raises MocapError when nothing can be read or a size differs.
+    """
+    path = Path(path)
+    clip = _open_images(path, camera, size)
+    try:
+        frame = 0
+        while (image := clip.read(frame)) is not None:
+            yield image
+            frame += 1
+        if frame == 0:
+            raise _empty(path, camera)
+    finally:
+        clip.close()
+
+
+class _Reader(Generic[Picture]):
+    """Synchronised reading of all cameras of a rig; the pictures of frame f come in the order of the rig."""
+
+    def __init__(
+        self,
+        sources: Mapping[str, Path],
+        rig: CameraRig,
+        frames: range,
+        *,
+        n_workers: int | None = None,
+    ) -> None:
+        if missing := [n for n in rig.names if n not in sources]:
+            raise ValueError(f"sources lacks cameras of the rig: {', '.join(missing)}")
+        if frames and (frames[0] < 0 or frames.step < 1):
+            raise ValueError(f"frames must be ascending from 0 on, got {frames}")
+        self.frames = frames
+        self._names = rig.names
+        self._sizes = [c.size for c in rig]
+        self._sources = [Path(sources[n]) for n in rig.names]
+        # Decoding releases the interpreter; more threads than cores only take memory.
+        self._n_workers = min(len(rig), n_workers if n_workers is not None else min(4, os.cpu_count() or 1))
+        self._workers: list[_Worker[Picture]] = []
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __enter__(self) -> _Reader[Picture]:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop reading ahead and close the files."""
+        for worker in self._workers:
+            worker.stop()
+        self._workers = []
+
+    def __iter__(self) -> Iterator[tuple[int, tuple[Picture, ...]]]:
+        """(frame index, one picture per camera in rig order); every iteration starts from the first frame."""
+        self.close()
+        if not self.frames:
+            return
+        n = max(1, self._n_workers)
+        groups = [range(k, len(self._names), n) for k in range(n)]
+        self._workers = workers = [_Worker(self, group) for group in groups]
+        try:
+            for frame in self.frames:
+                pictures: list[Picture | None] = [None] * len(self._names)
+                failures: list[tuple[int, Exception]] = []
+                for worker in workers:
+                    answer = worker.take()
+                    if isinstance(answer, _Failure):
+                        failures.append((answer.camera, answer.error))
+                        continue
+                    for camera, picture in zip(worker.group, answer, strict=True):
+                        pictures[camera] = picture
+                if failures:
+                    # The same camera is reported whatever the number of threads.
+                    raise min(failures, key=lambda f: f[0])[1]
+                yield frame, tuple(p for p in pictures if p is not None)
+        finally:
+            for worker in workers:
+                worker.stop()
+
+    def _open(self, camera: int) -> _Clip[Picture]:
+        raise NotImplementedError
+
+
+class FrameReader(_Reader[Image]):
+    """Reads the pictures of all cameras frame by frame: iterate for (frame, tuple of (H, W, 3) uint8 RGB).
+
+    sources : camera name -> video, picture folder or single picture.  frames : indices, counted from 0 in
+    every source.  n_workers : decoding threads (the result does not depend on it).
+    Raises MocapError with camera and frame for a picture that cannot be read or has another size than the
+    calibration.
+    """
+
+    def __enter__(self) -> FrameReader:
+        return self
+
+    def _open(self, camera: int) -> _Clip[Image]:
+        return _open_images(self._sources[camera], self._names[camera], self._sizes[camera])
+
+
+class MaskReader(_Reader[Mask]):
+    """Reads foreground masks like FrameReader: iterate for (frame, tuple of (H, W) bool).
+
+    sources : camera name -> folder of pictures, video, or .npz with the camera's name or `masks` as key:
+    (T, H, W), or packed along the last axis (T, H, ceil(W / 8)).  In PNG and the like every value but 0 is
+    foreground; in videos and JPEG, whose zeros are noisy, every value above 127.
+    """
+
+    def __enter__(self) -> MaskReader:
+        return self
+
+    def _open(self, camera: int) -> _Clip[Mask]:
+        path, name, size = self._sources[camera], self._names[camera], self._sizes[camera]
+        if path.suffix.lower() == ".npz":
+            return _NpzMasks(path, name, size)
+        return _MaskClip(path, name, size)
+
+
+class _Failure:
+    def __init__(self, camera: int, error: Exception) -> None:
+        self.camera = camera
+        self.error = error
+
+
+class _Worker(Generic[Picture]):
+    """A thread that reads some of the cameras ahead of the consumer, in order."""
+
+    def __init__(self, reader: _Reader[Picture], group: range) -> None:
+        self.group = group
+        self._reader: _Reader[Picture] = reader
+        self._answers: queue.Queue[list[Picture] | _Failure] = queue.Queue(READ_AHEAD_FRAMES)
+        self._is_stopped = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="mocap-read", daemon=True)
+        self._thread.start()
+
+    def take(self) -> list[Picture] | _Failure:
+        return self._answers.get()
+
+    def stop(self) -> None:
+        self._is_stopped.set()
+        while self._thread.is_alive():
+            # The thread may be waiting for room in the queue.
+            while not self._answers.empty():
+                self._answers.get_nowait()
+            self._thread.join(0.01)
+
+    def _put(self, answer: list[Picture] | _Failure) -> bool:
+        while not self._is_stopped.is_set():
+            try:
+                self._answers.put(answer, timeout=0.05)
+            except queue.Full:
+                continue
+            return True
+        return False
+
+    def _work(self) -> None:
+        clips: list[_Clip[Picture]] = []
+        camera = self.group[0]
+        try:
+            for camera in self.group:
+                clips.append(self._reader._open(camera))
+            for frame in self._reader.frames:
+                pictures = []
+                for camera, clip in zip(self.group, clips, strict=True):
+                    picture = clip.read(frame)
+                    if picture is None:
+                        raise MocapError(
+                            "the clip ends here although more frames were expected",
+                            path=self._reader._sources[camera],
+                            camera=self._reader._names[camera],
+                            frame=frame,
+                            remedy=_REMEDY_CUT,
+                        )
+                    pictures.append(picture)
+                if not self._put(pictures):
+                    return
+        except Exception as error:
+            # Not swallowed: the consumer raises it in its own thread.
+            self._put(_Failure(camera, error))
+        finally:
+            for clip in clips:
+                clip.close()
+
+
+class _Clip(Protocol[Picture_co]):
+    """One source. read(frame) wants ascending frames and gives None beyond the end."""
+
+    def read(self, frame: int) -> Picture_co | None: ...
+
+    def close(self) -> None: ...
+
+
+def _open_images(path: Path, camera: str, size: Size | None) -> _Clip[Image]:
+    if path.is_dir():
+        return _PictureClip(list_pictures(path), camera, size)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        return _PictureClip([path], camera, size)
+    return _VideoClip(path, camera, size)
+
+
+class _PictureClip:
+    def __init__(self, files: list[Path], camera: str, size: Size | None) -> None:
+        self._files, self._camera, self._size = files, camera, size
+
+    def read(self, frame: int) -> Image | None:
+        if frame >= len(self._files):
+            return None
+        image = _rgb(_read_picture(self._files[frame], self._camera, frame))
+        self._size = _check_size(image, self._size, self._files[frame], self._camera, frame)
+        return image
+
+    def close(self) -> None:
+        self._files = []
+
+
+class _VideoClip:
+    def __init__(self, path: Path, camera: str, size: Size | None) -> None:
+        self._path, self._camera, self._size = path, camera, size
+        self._capture = _open_capture(path, camera)
+        self._next = 0
+
+    def read(self, frame: int) -> Image | None:
+        # Frames are skipped by decoding them: seeking is exact only for some codecs.
+        while self._next < frame:
+            if not self._capture.grab():
+                return None
+            self._next += 1
+        ok, bgr = self._capture.read()
+        if not ok or bgr is None:
+            return None
+        self._next += 1
+        self._size = _check_size(bgr, self._size, self._path, self._camera, frame)
+        return _rgb(bgr)
+
+    def close(self) -> None:
+        self._capture.release()
+
+
+class _MaskClip:
+    def __init__(self, path: Path, camera: str, size: Size | None) -> None:
+        self._files: list[Path] | None = None
+        self._video: _VideoClip | None = None
+        self._camera, self._size = camera, size
+        if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
+            self._files = list_pictures(path) if path.is_dir() else [path]
+        else:
+            self._video = _VideoClip(path, camera, size)
+
+    def read(self, frame: int) -> Mask | None:
+        if self._video is not None:
+            image = self._video.read(frame)
+            return None if image is None else np.asarray(image.max(axis=2) > MASK_THRESHOLD)
+        if self._files is None or frame >= len(self._files):
+            return None
+        file = self._files[frame]
+        picture = _read_picture(file, self._camera, frame)
+        _check_size(picture, self._size, file, self._camera, frame)
+        level = MASK_THRESHOLD if file.suffix.lower() in {".jpg", ".jpeg"} else 0
+        if picture.ndim == 3:
+            # The alpha channel of an opaque picture is 255 everywhere and says nothing.
+            picture = picture[:, :, :3].max(axis=2)
+        return np.asarray(picture > level)
+
+    def close(self) -> None:
+        if self._video is not None:
+            self._video.close()
+
+
+class _NpzMasks:
+    def __init__(self, path: Path, camera: str, size: Size | None) -> None:
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                keys = [k for k in archive.files if k == camera] or [k for k in archive.files if k == "masks"]
+                if not keys:
+                    raise MocapError(
+                        f"the archive has neither the camera's name nor `masks` as key, but "
+                        f"{', '.join(archive.files) or 'nothing'}",
+                        path=path,
+                        camera=camera or None,
+                        remedy="store (T, H, W) masks under the camera's name",
+                    )
+                self._data = archive[keys[0]]
+                packed_width = archive["size"].ravel()[0] if "size" in archive.files else None
+        except (OSError, ValueError) as error:
+            raise MocapError(
+                "the mask archive cannot be read",
+                path=path,
+                camera=camera or None,
+                remedy="write it with numpy.savez_compressed",
+            ) from error
+        self._path, self._camera, self._size = path, camera, size
+        if self._data.ndim != 3:
+            raise MocapError(
+                f"masks have shape {self._data.shape}, expected (frames, height, width)",
+                path=path,
+                camera=camera or None,
+            )
+        T, height, columns = self._data.shape
+        self.n_frames = T
+        if size is not None and columns == (size[0] + 7) // 8 != size[0]:
+            width, self._is_packed = size[0], True
+        elif packed_width is not None and columns == (int(packed_width) + 7) // 8:
+            width, self._is_packed = int(packed_width), True
+        else:
+            width, self._is_packed = columns, False
+        self.size = (width, height)
+
+    def read(self, frame: int) -> Mask | None:
+        if frame >= self.n_frames:
+            return None
+        row = self._data[frame]
+        mask = np.unpackbits(row, axis=1, count=self.size[0]).astype(bool) if self._is_packed else row != 0
+        _check_size(mask, self._size, self._path, self._camera, frame)
+        return mask
+
+    def close(self) -> None:
+        self._data = self._data[:0]
+
+
+def _npz_masks(path: Path, camera: str) -> _NpzMasks:
+    masks = _NpzMasks(path, camera, None)
+    if masks.n_frames == 0:
+        raise _empty(path, camera)
+    return masks
+
+
+def _read_picture(path: Path, camera: str, frame: int) -> NDArray[Any]:
+    """A picture as it is in the file, (H, W) or (H, W, channels), any depth."""
+    try:
+        data = np.fromfile(path, dtype=np.uint8)
+        picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    except (OSError, cv2.error) as error:
+        raise _unreadable("picture", path, camera, frame) from error
+    if picture is None:
+        raise _unreadable("picture", path, camera, frame)
+    return picture
+
+
+def _rgb(picture: NDArray[Any]) -> Image:
+    """(H, W, 3) uint8 RGB of a BGR, BGRA or grey picture of 8 or 16 bits, or of floats in 0..1."""
+    if picture.dtype == np.uint16:
+        # 65535 / 255 = 257 exactly: white stays white.
+        picture = ((picture.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    elif picture.dtype != np.uint8:
+        picture = np.clip(np.nan_to_num(picture.astype(np.float64)) * 255 + 0.5, 0, 255).astype(np.uint8)
+    channels = picture.shape[2] if picture.ndim == 3 else 1
+    code = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}[channels]
+    return np.asarray(cv2.cvtColor(picture, code), dtype=np.uint8)
+
+
+def _check_size(picture: NDArray[Any], size: Size | None, path: Path, camera: str, frame: int | None) -> Size:
+    found = (picture.shape[1], picture.shape[0])
+    if size is not None and found != size:
+        raise size_error(found, size, path, camera, frame)
+    return found
+
+
+def size_error(found: Size, expected: Size, path: Path, camera: str, frame: int | None = None) -> MocapError:
+    """The error of a picture whose size is not that of the calibration; sizes are (width, height) px."""
+    remedy = "use pictures of the size that was calibrated, or calibrate again at this size"
+    if found == expected[::-1]:
+        remedy = "the picture lies on its side: turn the video as it was when it was calibrated"
+    elif found[0] * expected[1] == found[1] * expected[0]:
+        remedy += f" (multiply focal lengths and principal point by {found[0] / expected[0]:g})"
+    return MocapError(
+        f"the picture is {found[0]} x {found[1]}, expected {expected[0]} x {expected[1]}",
+        path=path,
+        camera=camera or None,
+        frame=frame,
+        remedy=remedy,
+    )
+
+
+def _unreadable(what: str, path: Path, camera: str, frame: int | None = None) -> MocapError:
+    return MocapError(
+        f"the {what} cannot be read; it is empty, damaged, truncated or of an unknown kind",
+        path=path,
+        camera=camera or None,
+        frame=frame,
+        remedy="copy it again from the camera, or convert it (videos to mp4, pictures to png)",
+    )
+
+
+def _empty(path: Path, camera: str) -> MocapError:
+    return MocapError(
+        "the clip is empty: it holds no frame",
+        path=path,
+        camera=camera or None,
+        remedy="record it again, or take the file away",
+    )
+
+
+def _open_capture(path: Path, camera: str) -> cv2.VideoCapture:
+    if not path.is_file():
+        raise MocapError("no such video", path=path, camera=camera or None, remedy="check the session folder")
+    if path.stat().st_size == 0:
+        raise _empty(path, camera)
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
+        raise MocapError(
+            f"{path.suffix or 'a file without suffix'} is no video that we know",
+            path=path,
+            camera=camera or None,
+            remedy=f"convert it to one of {', '.join(sorted(VIDEO_SUFFIXES))}",
+        )
+    try:
+        # One decoder thread per stream is enough as the streams are decoded side by side.
+        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+    except cv2.error as error:
+        raise _unreadable("video", path, camera) from error
+    if not capture.isOpened():
+        raise _unreadable("video", path, camera)
+    return capture
+
+
+def _stamp(path: Path, camera: str) -> tuple[int, int]:
+    if not path.is_file():
+        raise MocapError("no such video", path=path, camera=camera or None, remedy="check the session folder")
+    stat = path.stat()
+    return stat.st_size, stat.st_mtime_ns
+
+
+@lru_cache(maxsize=256)
+def _video_info(path: Path, camera: str, stamp: tuple[int, int]) -> ClipInfo:
+    capture = _open_capture(path, camera)
+    try:
+        header = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        fps: float | None = float(capture.get(cv2.CAP_PROP_FPS))
+        if fps is None or not 0.1 <= fps <= 10_000:
+            fps = None
+        n_frames = header if header > 0 and _can_decode(capture, header - 1) else 0
+    finally:
+        capture.release()
+    if n_frames == 0:
+        n_frames = _count(path, camera, header)
+    if n_frames == 0:
+        raise _empty(path, camera)
+    return ClipInfo(path, n_frames, size, fps, header if header > 0 else None)
+
+
+def _can_decode(capture: cv2.VideoCapture, frame: int) -> bool:
+    capture.set(cv2.CAP_PROP_POS_FRAMES, frame)
+    return abs(capture.get(cv2.CAP_PROP_POS_FRAMES) - frame) < 0.5 and bool(capture.grab())
+
+
+def _count(path: Path, camera: str, header: int) -> int:
+    """Frames that can be decoded, when the header is wrong."""
+    capture = _open_capture(path, camera)
+    try:
+        if header > COUNT_BY_GRABBING_FRAMES:
+            # Many containers promise a frame or two too many; look there before counting for minutes.
+            for n in range(header - 1, header - 9, -1):
+                if _can_decode(capture, n - 1):
+                    return n
+            capture.set(cv2.CAP_PROP_POS_FRAMES, 0)
+        n = 0
+        while capture.grab():
+            n += 1
+        return n
+    finally:
+        capture.release()
