@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 MAX_PARTS = 15  # the likelihood's stamp grid keeps a part's number in four bits
 _AXES = {"x": 0, "y": 1, "z": 2}
 _Vector = tuple[float, float, float]
+Side = Literal["left", "right", "middle"]
 
 
 class _Strict(BaseModel):
@@ -66,7 +67,7 @@ class PartSpec(_Strict):
 
     name: str
     parent: str = ""
-    side: Literal["left", "right", "middle"]
+    side: Side
     variance: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     """Factors on the variances of (out, double occupancy, empty, surface). Source: CF Table 6.2."""
     cones: tuple[ConeSpec, ...]
@@ -126,7 +127,7 @@ class Body:
     landmark_offset: Array
     cones: Cones
     variance: Array
-    part_sides: tuple[str, ...]
+    part_sides: tuple[Side, ...]
     round_ends: bool
     exclusive: bool
 

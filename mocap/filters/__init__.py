@@ -11,6 +11,7 @@ from mocap.filters.apf import (
     sir_step,
 )
 from mocap.filters.refine import RefineInfo, RefineSettings, refine
+from mocap.filters.scout import ScoutInfo, ScoutSettings, scout_limbs
 
 FilterStep = Callable[..., tuple[ParticleState, FilterInfo]]
 
@@ -25,8 +26,11 @@ __all__ = [
     "ParticleState",
     "RefineInfo",
     "RefineSettings",
+    "ScoutInfo",
+    "ScoutSettings",
     "apf_step",
     "initial_particles",
     "refine",
+    "scout_limbs",
     "sir_step",
 ]

@@ -101,6 +101,8 @@ class PoseConfig(_Section):
     """Second-order refinement of every estimate on the hull's surface; false = the published filter alone."""
     feedback_share: float = Field(default=0.5, ge=0, lt=1)
     """Share of the particles that take over the refined pose."""
+    scouts: bool = True
+    """Search anew for limbs that fit badly, over their whole range; false = the published filter alone."""
     n_start_frames: int = Field(default=3, ge=1)
     """Frames of the first two seconds in which the first pose is looked for."""
     n_first_poses: int = Field(default=12, ge=1)

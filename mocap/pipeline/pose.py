@@ -25,9 +25,11 @@ from mocap.filters import (
     ApfSettings,
     ParticleState,
     RefineSettings,
+    ScoutSettings,
     apf_step,
     initial_particles,
     refine,
+    scout_limbs,
 )
 from mocap.likelihood import (
     PackedVolume,
@@ -73,7 +75,8 @@ HullOf = Callable[[int], PersonHull | None]
 class PersonPoses:
     """The result for one person.
 
-    frames : (T,).  states : (T, D).  landmarks, landmark_std : (T, 15, 3) m.  observed : (T, 15) bool.
+    frames : (T,).  states : (T, D).  landmarks : (T, 15, 3) m.  landmark_covariance : (T, 15, 3, 3) m^2.
+    observed : (T, 15) bool.
     log_likelihood, ess_share : (T,).  start_frame : where the first pose was found.  first_pose : its name.
     n_evaluations : likelihood evaluations per frame.
     """
@@ -84,7 +87,7 @@ class PersonPoses:
     frames: NDArray[np.int64]
     states: Array
     landmarks: Array
-    landmark_std: Array
+    landmark_covariance: Array
     observed: NDArray[np.bool_]
     log_likelihood: Array
     ess_share: Array
@@ -201,8 +204,11 @@ def find_first_poses(
         start: ParticleState, settings: ApfSettings, fit: SurfaceProblem, n_iterations: int
     ) -> tuple[Array, float]:
         _, info = apf_step(problem, start, settings, rng=rng)
-        refined, _ = refine(fit, info.estimate, tools.refine_settings(n_iterations))
-        states = np.stack([info.estimate, refined])
+        found = [info.estimate, refine(fit, info.estimate, tools.refine_settings(n_iterations))[0]]
+        if fit is surface:
+            scouted, _ = scout_limbs(problem, found[1], ScoutSettings(max_limbs=4), rng=rng)
+            found += [scouted, refine(fit, scouted, tools.refine_settings(n_iterations))[0]]
+        states = np.stack(found)
         values = score(states)
         top = int(values.argmax())
         return states[top], float(values[top])
@@ -256,7 +262,7 @@ class FramePose:
     row: int
     state: Array
     landmarks: Array
-    landmark_std: Array
+    landmark_covariance: Array
     observed: NDArray[np.bool_]
     log_likelihood: float
     ess_share: float
@@ -299,7 +305,9 @@ def filter_frames(
                 row=i,
                 state=estimate,
                 landmarks=landmarks_of(tools.body, estimate[None])[0],
-                landmark_std=np.full((len(LANDMARKS), 3), np.hypot(_BLIND_STD_M, blind_std)),
+                landmark_covariance=np.tile(
+                    (_BLIND_STD_M**2 + blind_std**2) * np.eye(3), (len(LANDMARKS), 1, 1)
+                ),
                 observed=np.zeros(len(LANDMARKS), dtype=np.bool_),
                 log_likelihood=float("nan"),
                 ess_share=float("nan"),
@@ -316,17 +324,22 @@ def filter_frames(
         blind_std = 0.0
         rng = rng_for(seed, stage, person, int(frames[i]))
         particles, info = step(problem, particles, settings, rng=rng)
-        spread = _landmark_std(tools.body, particles, info.estimate)
+        spread = _landmark_covariance(tools.body, particles, info.estimate)
         estimate = info.estimate
         if tools.pose.refine:
             estimate, _ = refine(surface, info.estimate, tools.refine_settings())
+        if tools.pose.scouts:
+            found, scouted = scout_limbs(problem, estimate, ScoutSettings(), rng=rng)
+            if scouted.accepted:
+                estimate, _ = refine(surface, found, tools.refine_settings())
+        if tools.pose.refine or tools.pose.scouts:
             particles = _feed_back(particles, estimate, tools.pose.feedback_share)
         scores = part_scores(tools.body, tools.table, problem.volume, estimate[None])
         yield FramePose(
             row=i,
             state=estimate,
             landmarks=landmarks_of(tools.body, estimate[None])[0],
-            landmark_std=np.hypot(spread, 0.5 * tools.grid.voxel_size_m),
+            landmark_covariance=spread + (0.5 * tools.grid.voxel_size_m) ** 2 * np.eye(3),
             observed=_observed_landmarks(tools.body, scores.occupied[0]),
             log_likelihood=float(problem.log_likelihood(estimate[None]).sum()),
             ess_share=float(info.ess[-1]) / settings.n_particles,
@@ -409,7 +422,7 @@ def follow_person(
     start = int(np.searchsorted(frames, best.frame))
 
     states = np.empty((T, D))
-    landmarks, std = np.empty((T, M, 3)), np.empty((T, M, 3))
+    landmarks, covariance = np.empty((T, M, 3)), np.empty((T, M, 3, 3))
     observed = np.zeros((T, M), dtype=np.bool_)
     log_likelihood, ess_share = np.full(T, np.nan), np.full(T, np.nan)
     for stage, order in (("pose", range(start, T)), ("pose-backwards", range(start, -1, -1))):
@@ -419,7 +432,7 @@ def follow_person(
             i = pose.row
             if i == start and stage != "pose":
                 continue  # the start was settled on the way forward
-            states[i], landmarks[i], std[i] = pose.state, pose.landmarks, pose.landmark_std
+            states[i], landmarks[i], covariance[i] = pose.state, pose.landmarks, pose.landmark_covariance
             observed[i] = pose.observed
             log_likelihood[i], ess_share[i] = pose.log_likelihood, pose.ess_share
             if progress is not None:
@@ -448,7 +461,7 @@ def follow_person(
         frames=frames,
         states=states,
         landmarks=landmarks,
-        landmark_std=std,
+        landmark_covariance=covariance,
         observed=observed,
         log_likelihood=log_likelihood,
         ess_share=ess_share,
@@ -487,11 +500,10 @@ def _is_usable(hull: PersonHull | None) -> bool:
     return hull is not None and len(hull.voxels) >= MIN_VOXELS
 
 
-def _landmark_std(body: Body, particles: ParticleState, estimate: Array) -> Array:
-    """Spread of the landmarks over the particles around the estimate's, (15, 3) m."""
-    points = landmarks_of(body, particles.particles)
-    d = points - landmarks_of(body, estimate[None])
-    return np.sqrt(np.einsum("n,nlc->lc", particles.weights, d * d))
+def _landmark_covariance(body: Body, particles: ParticleState, estimate: Array) -> Array:
+    """Spread of the landmarks over the particles around the estimate's, (15, 3, 3) m^2."""
+    d = landmarks_of(body, particles.particles) - landmarks_of(body, estimate[None])
+    return np.einsum("n,nlr,nlc->lrc", particles.weights, d, d)
 
 
 def _feed_back(particles: ParticleState, estimate: Array, share: float) -> ParticleState:

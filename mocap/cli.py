@@ -1,0 +1,444 @@
+"""The command line: `mocap COMMAND`. Errors name file, camera, frame and remedy, and exit with code 2."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mocap.errors import MocapError
+
+if TYPE_CHECKING:
+    from mocap.pipeline.run import Progress, RunResult
+
+app = typer.Typer(
+    name="mocap",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Calibrated multi-camera video to 3D human motion, without neural weights.\n\n"
+    "Start with `mocap demo`, then `mocap check SESSION` and `mocap run SESSION -o OUT` on your own folder.",
+)
+
+SessionPath = Annotated[
+    Path, typer.Argument(help="Session folder: calibration, videos/ or images/, background/ ...")
+]
+OutPath = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
+PresetOption = Annotated[
+    str, typer.Option("--preset", help="default, reference, realtime, ... or a TOML file.")
+]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Change one setting: section.key=value (repeatable).")
+]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same bytes.")]
+FramesOption = Annotated[
+    str | None, typer.Option("--frames", help="a:b, frames a to b - 1; either may be left out.")
+]
+CalibrationOption = Annotated[
+    Path | None, typer.Option("--calibration", help="Calibration file instead of the session's own.")
+]
+ThreadsOption = Annotated[
+    int | None, typer.Option("--threads", min=1, help="Threads; results do not depend on it.")
+]
+ResumeOption = Annotated[
+    bool, typer.Option("--resume", help="Reuse stage products in OUT that nothing has changed for.")
+]
+FilterOption = Annotated[str | None, typer.Option("--filter", help="Pose filter; see --list-filters.")]
+
+
+def main() -> None:
+    """Entry point: user mistakes become one message and exit code 2, without a traceback."""
+    try:
+        app(standalone_mode=True)
+    except MocapError as error:
+        _fail(str(error))
+    except KeyboardInterrupt:
+        _fail("stopped by the user. Finished stages are kept; continue with --resume.", code=130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(1)
+    except OSError as error:
+        name = f" (file {error.filename})" if error.filename else ""
+        _fail(
+            f"{error.strerror or error}{name}. Remedy: check that the disk has space left and that files and "
+            "folders may be read and written."
+        )
+    except MemoryError:
+        _fail("out of memory. Remedy: use larger voxels (--set volume.voxel_size_m=0.03) or a smaller room.")
+
+
+def _fail(message: str, code: int = 2) -> None:
+    sys.stderr.write(f"mocap: error: {message}\n")
+    sys.exit(code)
+
+
+def _parse_frames(text: str | None) -> tuple[int | None, int | None] | None:
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    try:
+        a = int(first) if first.strip() else None
+        b = int(last) if last.strip() else None
+    except ValueError:
+        a, b, colon = None, None, ""
+    if not colon or (a is not None and a < 0) or (b is not None and b < 0):
+        raise MocapError(
+            f"cannot read the frame range {text!r}", remedy="write --frames a:b, for example 0:100"
+        )
+    return a, b
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """A bar with time left per stage on a terminal, plain lines elsewhere."""
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        bar = Progress(
+            TextColumn("{task.description:>10}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(elapsed_when_finished=True),
+            console=Console(stderr=True),
+        )
+        tasks: dict[str, Any] = {}
+        with bar:
+
+            def show(stage: str, done: int, total: int) -> None:
+                if stage not in tasks:
+                    tasks[stage] = bar.add_task(stage, total=total)
+                bar.update(tasks[stage], completed=done, total=total)
+
+            yield show
+        return
+    last: dict[str, float] = {}
+
+    def say(stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if done == total or now - last.get(stage, 0.0) > 10.0:
+            last[stage] = now
+            sys.stderr.write(f"{stage}: {done}/{total}\n")
+            sys.stderr.flush()
+
+    yield say
+
+
+def _config(preset: str, settings: list[str] | None, filter_name: str | None = None) -> Any:
+    from mocap.pipeline.config import load_config
+
+    extra = [f"pose.filter={filter_name}"] if filter_name else []
+    return load_config(preset, (*(settings or []), *extra))
+
+
+def _list_filters(value: bool) -> None:
+    if value:
+        from mocap.filters import FILTERS
+
+        typer.echo("\n".join(FILTERS))
+        raise typer.Exit
+
+
+def _run(
+    session: Path,
+    out: Path,
+    *,
+    until: str,
+    preset: str,
+    settings: list[str] | None,
+    seed: int,
+    frames: str | None,
+    calibration: Path | None,
+    threads: int | None,
+    resume: bool,
+    filter_name: str | None = None,
+) -> RunResult:
+    from mocap.pipeline.run import run_session
+
+    config = _config(preset, settings, filter_name)
+    with _progress() as progress:
+        result = run_session(
+            session,
+            out,
+            config=config,
+            seed=seed,
+            until=until,
+            resume=resume,
+            frames=_parse_frames(frames),
+            calibration=calibration,
+            n_threads=threads,
+            progress=progress,
+            command=shlex.join(["mocap", *sys.argv[1:]]),
+        )
+    _say_result(result)
+    return result
+
+
+def _say_result(result: RunResult) -> None:
+    """What was found, warnings, time per stage and where to look: a few lines on standard output."""
+    n = len(result.session.frames)
+    persons = len(result.tracks.persons) if result.tracks is not None else None
+    found = "" if persons is None else f", {persons} person{'s' * (persons != 1)}"
+    typer.echo(f"{result.session.name}: {n} frames, {len(result.session.rig)} cameras{found}")
+    for warning in result.warnings:
+        typer.echo(f"  warning: {warning}")
+    for stage in result.reused:
+        typer.echo(f"  {stage:<8} reused")
+    for stage, seconds in result.timings_s.items():
+        typer.echo(f"  {stage:<8} {seconds:8.2f} s  {n / max(seconds, 1e-9):8.1f} frames/s")
+    if result.scores is not None:
+        _say_scores(result.scores)
+    report = result.out / "report.html"
+    if report.exists() and result.status == "complete":
+        typer.echo(f"Look at {report}")
+    else:
+        typer.echo(f"Written to {result.out}")
+
+
+_SCORE_ROWS = (
+    ("mean_error_mm", "mean landmark error", "mm"),
+    ("std_error_mm", "its deviation over frames", "mm"),
+    ("mmtp_mm", "MMTP, error of matched landmarks", "mm"),
+    ("mmta_percent", "MMTA, landmarks within epsilon", "%"),
+    ("epsilon_mm", "epsilon", "mm"),
+    ("mean_error_after_offset_mm", "error after constant offsets", "mm"),
+    ("angle_mean_deg", "mean joint-angle error", "deg"),
+    ("motp_mm", "MOTP, position of persons", "mm"),
+    ("mota_percent", "MOTA, tracking accuracy", "%"),
+    ("volume_iou", "overlap of hull and true body", ""),
+    ("coverage_90_percent", "truth inside 90 % regions", "%"),
+)
+
+
+def _say_scores(scores: dict[str, Any]) -> None:
+    typer.echo("Scores against the truth:")
+    for key, words, unit in _SCORE_ROWS:
+        value = scores.get(key)
+        text = "-" if value is None else f"{value:.2f}" if key == "volume_iou" else f"{value:.1f}"
+        typer.echo(f"  {words:<34} {text:>8} {unit}")
+    if scores.get("unit_warning"):
+        typer.echo(f"  warning: {scores['unit_warning']}")
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for session and result.")] = Path(
+        "out/demo"
+    ),
+    scene: Annotated[str, typer.Option("--scene", help="Scene to synthesise.")] = "demo",
+    seed: SeedOption = 0,
+    preset: PresetOption = "default",
+) -> None:
+    """Make a small synthetic session, run everything on it and score it against its exact truth."""
+    started = time.perf_counter()
+    from data_synth import synthesise
+
+    session = out / "session"
+    typer.echo(f"1. Synthesising the scene '{scene}' into {session}")
+    with _progress() as progress:
+        synthesise(scene, session, progress=progress)
+    made = time.perf_counter() - started
+    typer.echo(f"   {made:.1f} s")
+    typer.echo(f"2. Running the pipeline into {out / 'result'}")
+    result = _run(
+        session,
+        out / "result",
+        until="report",
+        preset=preset,
+        settings=None,
+        seed=seed,
+        frames=None,
+        calibration=None,
+        threads=None,
+        resume=False,
+    )
+    from mocap.pipeline.run import write_text
+
+    write_text(out / "result" / "scores.json", json.dumps(result.scores, indent=1) + "\n")
+    typer.echo(f"Done in {time.perf_counter() - started:.0f} s. What to do next:")
+    typer.echo(f"  open {out / 'result' / 'report.html'} in a browser: pictures, errors, timing")
+    typer.echo(f"  load {out / 'result' / 'person_1.bvh'} into an animation tool")
+    typer.echo("  mocap check SESSION; mocap run SESSION -o OUT    your own cameras (docs/session.md)")
+
+
+@app.command()
+def run(
+    session: SessionPath,
+    out: OutPath,
+    preset: PresetOption = "default",
+    settings: SetOption = None,
+    filter_name: FilterOption = None,
+    seed: SeedOption = 0,
+    frames: FramesOption = None,
+    until: Annotated[
+        str, typer.Option("--until", help="Last stage: segment, carve, track, pose, report.")
+    ] = "report",
+    resume: ResumeOption = False,
+    calibration: CalibrationOption = None,
+    threads: ThreadsOption = None,
+    _list: Annotated[
+        bool,
+        typer.Option(
+            "--list-filters", is_eager=True, callback=_list_filters, help="Print the filters' names."
+        ),
+    ] = False,
+) -> None:
+    """Camera folder to motion: masks, volumes, tracks, poses, exports and report."""
+    from mocap.pipeline.run import STAGES
+
+    if until not in STAGES:
+        raise MocapError(f"there is no stage named {until!r}", remedy=f"use one of {', '.join(STAGES)}")
+    _run(
+        session,
+        out,
+        until=until,
+        preset=preset,
+        settings=settings,
+        seed=seed,
+        frames=frames,
+        calibration=calibration,
+        threads=threads,
+        resume=resume,
+        filter_name=filter_name,
+    )
+
+
+def _stage_command(stage: str, words: str) -> None:
+    def command(
+        session: SessionPath,
+        out: OutPath,
+        preset: PresetOption = "default",
+        settings: SetOption = None,
+        seed: SeedOption = 0,
+        frames: FramesOption = None,
+        calibration: CalibrationOption = None,
+        threads: ThreadsOption = None,
+    ) -> None:
+        _run(
+            session,
+            out,
+            until=stage,
+            preset=preset,
+            settings=settings,
+            seed=seed,
+            frames=frames,
+            calibration=calibration,
+            threads=threads,
+            resume=True,
+        )
+
+    command.__doc__ = words
+    app.command(name=stage)(command)
+
+
+_stage_command("segment", "Foreground masks of every frame into OUT/store.zarr.")
+_stage_command("carve", "Coloured hulls of every frame; takes over finished masks in OUT.")
+_stage_command("track", "Who is where: OUT/tracks.csv; takes over finished hulls in OUT.")
+_stage_command("pose", "Poses: OUT/landmarks.csv and pose.npz; takes over finished tracks in OUT.")
+
+
+@app.command(name="eval")
+def evaluate(
+    out: Annotated[Path, typer.Argument(help="Output folder of a run.")],
+    session: SessionPath,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    epsilon_mm: Annotated[float, typer.Option("--epsilon", min=1.0, help="Matching threshold, mm.")] = 100.0,
+) -> None:
+    """Score a run against the truth of its session."""
+    from mocap.pipeline.scoring import score_folder
+
+    scores = score_folder(out, session, epsilon_mm=epsilon_mm)
+    if as_json:
+        typer.echo(json.dumps(scores))
+    else:
+        _say_scores(scores)
+
+
+@app.command()
+def check(
+    session: SessionPath,
+    calibration: CalibrationOption = None,
+    frames: FramesOption = None,
+) -> None:
+    """Look at a session before running it: calibration, cameras, clips, background, and what to mend."""
+    from mocap.io.session import check_session, open_session
+
+    opened = open_session(session, calibration=calibration, frames=_parse_frames(frames))
+    findings = check_session(opened)
+    for finding in findings:
+        where = f" [{finding.camera}]" if finding.camera else ""
+        remedy = f" Remedy: {finding.remedy}." if finding.remedy else ""
+        typer.echo(f"{finding.severity:>8}{where}: {finding.message}{remedy}")
+    n_errors = sum(f.severity == "error" for f in findings)
+    n_warnings = sum(f.severity == "warning" for f in findings)
+    typer.echo(f"{n_errors} errors, {n_warnings} warnings")
+    if n_errors:
+        raise typer.Exit(2)
+
+
+def _list_scenes(value: bool) -> None:
+    if value:
+        from data_synth import list_scenes
+
+        typer.echo("\n".join(list_scenes()))
+        raise typer.Exit
+
+
+@app.command()
+def synth(
+    out: OutPath,
+    scene: Annotated[str, typer.Option("--scene", help="Scene name or TOML file.")] = "demo",
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Another seed than the scene's own.")
+    ] = None,
+    workers: Annotated[
+        int, typer.Option("--workers", min=1, help="Processes; the result does not depend on it.")
+    ] = 2,
+    preview: Annotated[
+        Path | None, typer.Option("--preview", help="Also write a contact sheet (PNG) of the session.")
+    ] = None,
+    _list: Annotated[
+        bool, typer.Option("--list", is_eager=True, callback=_list_scenes, help="Print the scenes' names.")
+    ] = False,
+) -> None:
+    """Make a synthetic session with exact truth."""
+    from data_synth import synthesise
+
+    with _progress() as progress:
+        path = synthesise(scene, out, seed=seed, workers=workers, progress=progress)
+    if preview is not None:
+        from data_synth.preview import preview_sheet
+
+        preview_sheet(path, preview)
+        typer.echo(f"Preview in {preview}")
+    typer.echo(f"Session in {path}; next: mocap run {path} -o OUT")
+
+
+@app.command(name="convert-calibration")
+def convert_calibration(
+    source: Annotated[Path, typer.Argument(help="Calibration file of any supported format.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="TOML file to write (metres, world to camera).")],
+    units: Annotated[
+        str | None, typer.Option("--units", help="m, cm or mm, when the file does not say.")
+    ] = None,
+) -> None:
+    """Read a calibration of any supported format and write our own TOML in metres."""
+    from mocap.io.calibration import read_calibration, write_calibration
+
+    found = read_calibration(source, units=units, check_world=False)
+    write_calibration(out, found.rig, metadata={"source_format": found.format})
+    typer.echo(f"{found.format}, units {found.units}: {len(found.rig)} cameras -> {out}")
+    for note in (*found.notes, *found.warnings):
+        typer.echo(f"  {note}")
+
+
+if __name__ == "__main__":
+    main()

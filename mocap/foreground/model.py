@@ -1,0 +1,121 @@
+"""What the empty scene looks like: per-pixel mean and spread, from a clip, the running scene or a still."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.foreground import _kernels
+
+Image = NDArray[np.uint8]
+
+MAX_SAMPLES = 31  # pictures kept in memory; more improve neither mean nor spread noticeably
+STD_FLOOR = 1.2  # levels; compression freezes flat regions, their measured spread is 0
+_STILL_STD_FLOOR = 2.0  # a still says nothing about flicker
+_FAR = 20  # levels from the usual colour that count as "something else was here"
+_MOVED_IN_EMPTY = 0.02
+_MOVED_IN_MEDIAN = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """Per-pixel, per-channel statistics of the empty scene of one camera.
+
+    mean, std : (H, W, 3) float32, grey levels.
+    n_images : how many pictures were used.  kind : 'clip', 'median' or 'still'.
+    moving_share : share of the pixels at which some picture is far from the usual colour.
+    """
+
+    mean: NDArray[np.float32]
+    std: NDArray[np.float32]
+    n_images: int
+    kind: str
+    moving_share: float
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes this background doubtful, in words; empty when nothing does."""
+        if self.kind == "clip" and self.moving_share > _MOVED_IN_EMPTY:
+            return (f"something moves in {self.moving_share:.0%} of the picture of the empty-scene clip",)
+        if self.kind == "median" and self.moving_share < _MOVED_IN_MEDIAN:
+            return (
+                "hardly anything moves in this clip: a person who stays in place is learnt as background; "
+                "record an empty scene",
+            )
+        return ()
+
+
+def learn_background(images: Iterable[Image]) -> Background:
+    """Background from pictures of the empty scene; a single picture gives a 'still'.
+
+    images : (H, W, 3) uint8 RGB each; at most 31 of them, evenly spread, are kept in memory.
+    Per pixel and channel: the shortest interval that holds half of the samples, then mean and standard
+    deviation of the samples within 2.5 spreads + 3 levels of its middle, so that somebody who crosses the
+    clip leaves no trace. The standard deviation is at least 1.2 levels (2 for a still, whose noise is
+    estimated from its fine structure).
+    Raises ValueError for no picture or pictures of different shapes.
+    Source: CF 2.2.3 (statistical background learnt from an empty scene).
+    """
+    samples = _thin(images)
+    return _still(samples[0]) if len(samples) == 1 else _statistics(samples, "clip")
+
+
+def median_background(images: Iterable[Image]) -> Background:
+    """Background from the clip itself, in which every place is empty in more than half of the pictures.
+
+    images, errors : as of learn_background. Look at `warnings`: a person who never moves is learnt as
+    background.
+    """
+    samples = _thin(images)
+    return _statistics(samples, "median")
+
+
+def _thin(images: Iterable[Image]) -> list[Image]:
+    """Every 2^j-th picture, between 16 and 31 of a long clip; constant memory."""
+    kept: list[Image] = []
+    stride = 1
+    for i, image in enumerate(images):
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+            raise ValueError(
+                f"images: expected (H, W, 3) uint8, got {image.shape} {image.dtype} at picture {i}"
+            )
+        if kept and image.shape != kept[0].shape:
+            raise ValueError(
+                f"images: expected shape {kept[0].shape} throughout, got {image.shape} at picture {i}"
+            )
+        if i % stride:
+            continue
+        if len(kept) == MAX_SAMPLES:
+            kept = kept[::2]
+            stride *= 2
+            if i % stride:
+                continue
+        kept.append(np.array(image))
+    if not kept:
+        raise ValueError("images: expected at least one picture of the scene, got none")
+    return kept
+
+
+def _statistics(samples: list[Image], kind: str) -> Background:
+    shape = samples[0].shape
+    stack = np.stack(samples).reshape(len(samples), -1)
+    mean = np.empty(stack.shape[1], dtype=np.float32)
+    std = np.empty(stack.shape[1], dtype=np.float32)
+    moved = np.empty(stack.shape[1], dtype=np.uint8)
+    _kernels.robust_statistics(stack, _FAR, mean, std, moved)
+    moving = float(moved.reshape(shape).any(axis=2).mean())
+    return Background(
+        mean.reshape(shape), np.maximum(std, STD_FLOOR).reshape(shape), len(samples), kind, moving
+    )
+
+
+def _still(image: Image) -> Background:
+    """Noise from the median absolute deviation of the picture from its own 3 x 3 median, per channel."""
+    fine = image.astype(np.float32) - cv2.medianBlur(image, 3)
+    noise = np.median(np.abs(fine), axis=(0, 1)) / 0.6745
+    std = np.broadcast_to(np.maximum(noise, _STILL_STD_FLOOR).astype(np.float32), image.shape).copy()
+    return Background(image.astype(np.float32), std, 1, "still", 0.0)

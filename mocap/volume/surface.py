@@ -1,0 +1,90 @@
+"""Surface of a voxel set, and its smoothed map for the likelihood."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mocap.data import VoxelGrid
+from mocap.volume import _kernels
+
+Voxels = NDArray[np.int32]
+
+OCCUPIED_BIT = 128
+SURFACE_LEVELS = 127
+
+
+def check_voxels(voxels: Voxels, grid: VoxelGrid) -> Voxels:
+    """The list as contiguous int32; raises ValueError unless it is strictly ascending and inside the grid."""
+    # Read-only arrays would make the compiler build every kernel a second time.
+    v = np.require(voxels, np.int32, ("C", "W"))
+    if v.ndim != 1 or (len(v) and (v[0] < 0 or v[-1] >= grid.n_voxels or np.any(v[1:] <= v[:-1]))):
+        raise ValueError(f"voxels: expected ascending linear indices in 0 .. {grid.n_voxels - 1}, shape (N,)")
+    return v
+
+
+def surface_voxels(voxels: Voxels, grid: VoxelGrid) -> NDArray[np.bool_]:
+    """Whether each occupied voxel has an empty 6-neighbour; outside the grid is empty.
+
+    voxels : (N,) int32 ascending. Returns (N,) bool; N = 0 gives an empty array.
+    """
+    v = check_voxels(voxels, grid)
+    is_surface = np.zeros(len(v), dtype=np.bool_)
+    if len(v):
+        subs, lower, upper = _kernels.subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
+        crop = np.zeros(tuple(upper - lower + 2), dtype=np.uint8)
+        _kernels.fill_crop(subs, lower - 1, crop)
+        _kernels.surface_of_crop(subs, lower - 1, crop, is_surface)
+    return is_surface
+
+
+def gaussian_weights(sigma_voxels: float) -> NDArray[np.float32]:
+    """One-dimensional Gaussian weights, (2 r + 1,), r = ceil(2 sigma), sum 1; sigma 0 gives [1]."""
+    if not (math.isfinite(sigma_voxels) and 0 <= sigma_voxels <= 8):
+        raise ValueError(f"sigma_voxels: expected 0 .. 8, got {sigma_voxels}")
+    if sigma_voxels == 0:
+        return np.ones(1, dtype=np.float32)
+    r = math.ceil(2 * sigma_voxels)
+    weights = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma_voxels) ** 2)
+    return (weights / weights.sum()).astype(np.float32)
+
+
+def surface_map(
+    voxels: Voxels,
+    is_surface: NDArray[np.bool_],
+    grid: VoxelGrid,
+    lower_sub: ArrayLike,
+    upper_sub: ArrayLike,
+    sigma_voxels: float = 1.0,
+) -> NDArray[np.uint8]:
+    """Occupancy and proximity to the surface, one byte per voxel of a crop.
+
+    voxels : (N,) int32 ascending.  is_surface : (N,) bool.
+    lower_sub, upper_sub : (3,) voxel subscripts of the crop, upper exclusive; they may exceed the grid.
+    Returns uint8 of shape upper_sub - lower_sub; its element (0, 0, 0) is the voxel lower_sub. Bit 7 =
+    occupied; bits 0-6 = 127 x the surface smoothed with a Gaussian of sigma_voxels (cut at 2 sigma),
+    remapped to [0, 1]. The outermost layer of the crop is zero whatever it holds, so that clamping an index
+    into the crop reads "empty" for everything outside.
+    Source: CF 6.5.1, text before Eq. 6.16. The remapping is ours: 1 is what a flat sheet of surface voxels
+    has on itself, larger values (edges, thin limbs) saturate; a maximum over the frame would depend on one
+    corner.
+    """
+    v = check_voxels(voxels, grid)
+    lower = np.asarray(lower_sub, dtype=np.int64)
+    upper = np.asarray(upper_sub, dtype=np.int64)
+    if lower.shape != (3,) or upper.shape != (3,) or np.any(upper - lower < 1):
+        raise ValueError(f"crop: expected lower < upper, each (3,), got {lower_sub!r} and {upper_sub!r}")
+    if len(is_surface) != len(v):
+        raise ValueError(f"is_surface: expected ({len(v)},), got {np.shape(is_surface)}")
+    packed = np.zeros(tuple(upper - lower), dtype=np.uint8)
+    if len(v):
+        kernel = gaussian_weights(sigma_voxels)
+        field = np.zeros(packed.shape, dtype=np.float32)
+        subs, _, _ = _kernels.subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
+        gain = np.float32(SURFACE_LEVELS / kernel.max())
+        _kernels.splat_surface(
+            subs, np.ascontiguousarray(is_surface, dtype=np.bool_), lower, kernel, gain, field, packed
+        )
+    return packed
