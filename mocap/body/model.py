@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
 
 from mocap.data.motion import LANDMARKS
 from mocap.data.problem import StateLayout
@@ -19,9 +19,10 @@ from mocap.errors import MocapError
 
 Array = NDArray[np.float64]
 
-MAX_PARTS = 15  # the likelihood's stamp grid keeps a part's number in four bits
+MAX_PARTS = 24  # the likelihood keeps one bit per part beside each voxel's byte
 _AXES = {"x": 0, "y": 1, "z": 2}
-_Vector = tuple[float, float, float]
+_ROOT_COLUMNS = ("root_x", "root_y", "root_z")
+_Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Side = Literal["left", "right", "middle"]
 
 
@@ -59,7 +60,7 @@ class ConeSpec(_Strict):
     joint: str
     start: _Vector = Field(alias="from")
     end: _Vector = Field(alias="to")
-    radii: tuple[float, float]
+    radii: tuple[FiniteFloat, FiniteFloat]
 
 
 class PartSpec(_Strict):
@@ -68,7 +69,7 @@ class PartSpec(_Strict):
     name: str
     parent: str = ""
     side: Side
-    variance: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    variance: tuple[PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat] = (1.0, 1.0, 1.0, 1.0)
     """Factors on the variances of (out, double occupancy, empty, surface). Source: CF Table 6.2."""
     cones: tuple[ConeSpec, ...]
 
@@ -161,6 +162,8 @@ def load_body_model(name_or_path: str | Path) -> BodyModel:
                 path=path,
                 remedy=f"give a TOML file or one of the presets {', '.join(body_presets())}",
             ) from error
+        except UnicodeDecodeError as error:
+            raise MocapError("not a text file in UTF-8", path=path, remedy="give a TOML file") from error
     try:
         model = BodyModel.model_validate(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
@@ -189,10 +192,13 @@ def _check_tree(model: BodyModel, path: Path) -> None:
             fail(f"joint {joint.name}: parent {joint.parent} must be defined before it")
         if (joint.translation_speed is not None) != (i == 0):
             fail(f"joint {joint.name}: exactly the first joint has translation_speed")
+        for dof in joint.dofs:
+            if not dof.limits[0] <= dof.limits[1]:
+                fail(f"dof {dof.name}: limits {list(dof.limits)} are not in ascending order")
         seen.add(joint.name)
     if not model.joint:
         fail("there is no joint")
-    names = [d.name for j in model.joint for d in j.dofs]
+    names = [*_ROOT_COLUMNS, *(d.name for j in model.joint for d in j.dofs)]
     if len(set(names)) != len(names):
         fail("names of dofs are not unique")
     parts: set[str] = set()
@@ -234,7 +240,7 @@ def scale_body(model: BodyModel, height_m: float) -> Body:
     parent = np.array([index.get(j.parent, -1) for j in model.joint], dtype=np.int64)
     offset = np.array([j.offset for j in model.joint]) * height_m
 
-    names = ["root_x", "root_y", "root_z"]
+    names = list(_ROOT_COLUMNS)
     lower = [-math.inf] * 3
     upper = [math.inf] * 3
     speed = list(model.joint[0].translation_speed or (1.0, 1.0, 1.0))

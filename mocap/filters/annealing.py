@@ -13,9 +13,18 @@ _BETA_TOLERANCE = 1e-4  # relative to the survival rate: far below the sampling 
 _MAX_ITERATIONS = 100
 
 
+def annealed(log_likelihood: Array, beta: float) -> Array:
+    """Log-weights of w^beta, (N,): zero likelihoods (-inf, NaN) stay zero, for beta = 0 too.
+
+    Source: CF Eq. 3.18.
+    """
+    is_dead = np.isnan(log_likelihood) | np.isneginf(log_likelihood)
+    return np.where(is_dead, -np.inf, beta * np.where(is_dead, 0.0, log_likelihood))
+
+
 def survival_at(log_likelihood: Array, beta: float) -> float:
     """Survival rate of the weights w^beta, (N,) log-likelihoods.  Source: CF Eq. 3.20-3.21."""
-    weights, _ = normalise_log_weights(beta * log_likelihood)
+    weights, _ = normalise_log_weights(annealed(log_likelihood, beta))
     return survival_rate(weights)
 
 
@@ -41,7 +50,7 @@ def next_beta(log_likelihood: Array, target: float, *, beta_max: float = 1e6) ->
         return float(np.log(survival_at(ll, beta) / target))
 
     spread = max(-float(np.median(ll[alive])), 1e-12)
-    low, high = 0.0, 1.0 / spread
+    low, high = 0.0, min(1.0 / spread, beta_max)
     f_low, f_high = float(np.log(alive.mean() / target)), excess(high)
     while f_high > 0:
         if high >= beta_max:

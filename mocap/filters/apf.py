@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data.problem import ArticulatedProblem
-from mocap.filters.annealing import layer_scales, next_beta
+from mocap.filters.annealing import annealed, layer_scales, next_beta
 from mocap.filters.estimate import weighted_mean
 from mocap.filters.resampling import RESAMPLING
 from mocap.filters.weights import effective_sample_size, normalise_log_weights
@@ -94,7 +94,7 @@ def apf_step(
         particles = problem.propagate(particles[ancestors], settings.std * scale, rng=rng)
         log_likelihood = problem.log_likelihood(particles).sum(axis=1)
         beta = next_beta(log_likelihood, settings.alpha)
-        weights, log_mean = normalise_log_weights(beta * log_likelihood)
+        weights, log_mean = normalise_log_weights(annealed(log_likelihood, beta))
         is_degenerate |= not np.isfinite(log_mean)
         betas.append(beta)
         ess.append(effective_sample_size(weights))

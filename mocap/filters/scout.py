@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data.problem import ArticulatedProblem, StateLayout
-from mocap.filters.annealing import layer_scales, next_beta
+from mocap.filters.annealing import annealed, layer_scales, next_beta
 from mocap.filters.resampling import systematic
 from mocap.filters.weights import normalise_log_weights
 
@@ -81,7 +81,7 @@ def scout_limbs(
         candidate, reached = particles[value.argmax()], float(value.max())
         std = np.zeros(layout.n_columns)
         for scale in layer_scales(settings.n_layers, 0.5):
-            weights, _ = normalise_log_weights(next_beta(value, 0.3) * value)
+            weights, _ = normalise_log_weights(annealed(value, next_beta(value, 0.3)))
             std[columns] = settings.std_rad * scale
             particles = particles[systematic(weights, settings.n_particles, rng=rng)]
             particles = problem.propagate(particles, std, rng=rng)

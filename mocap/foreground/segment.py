@@ -45,6 +45,7 @@ class ForegroundSettings:
         background by this share of the largest difference within outline_px: blur and compression draw a halo
         round a person.
     closing_px : gaps up to this width are closed where the picture differs from the background.
+    closing_hint_px : wider gaps are closed where it differs by half the threshold on the average of 5 x 5 pixels.
     max_hole_px : holes of differing pixels up to this area are filled (holes that show the background stay).
     min_area_px, min_area_share : smaller regions are dropped; share of the largest region.
     adaptation : share of the way to the new picture that background pixels go per picture; 0 = never. Only the
@@ -67,6 +68,7 @@ class ForegroundSettings:
     outline_share: float = 0.35
     outline_px: int = 5
     closing_px: int = 7
+    closing_hint_px: int = 15
     max_hole_px: float = 500.0
     min_area_px: float = 150.0
     min_area_share: float = 0.02
@@ -114,6 +116,9 @@ class Segmenter:
         self._mean = np.array(background.mean, dtype=np.float32)
         self._background = np.clip(np.round(self._mean), 0, 255).astype(np.uint8)
         self._noise = float(np.median(background.std))
+        self._weak_level = 0.5 * max(
+            self.settings.min_difference, self.settings.threshold_sigma * self._noise
+        )
         limit = np.maximum(
             self.settings.threshold_sigma * background.std.max(axis=2), self.settings.min_difference
         )
@@ -199,7 +204,7 @@ class Segmenter:
             np.float32(chroma_pixel), np.float32(s.shadow_tint), foreground, shadow,
         )  # fmt: skip
         foreground = _trim_outline(foreground, largest, s, self.shape)
-        mask = _clean(foreground, candidate, largest, s, self.shape)
+        mask = _clean(foreground, shadow, candidate, largest, self._weak_level, s, self.shape)
         return mask, shadow & (1 - mask)
 
     def _adapt(self, picture: Image, candidate: Bytes, mask: Bytes) -> None:
@@ -260,7 +265,13 @@ def _trim_outline(foreground: Bytes, largest: Bytes, s: ForegroundSettings, shap
 
 
 def _clean(
-    foreground: Bytes, candidate: Bytes, largest: Bytes, s: ForegroundSettings, shape: tuple[int, ...]
+    foreground: Bytes,
+    shadow: Bytes,
+    candidate: Bytes,
+    largest: Bytes,
+    weak_level: float,
+    s: ForegroundSettings,
+    shape: tuple[int, ...],
 ) -> Bytes:
     """Closing and hole filling among differing pixels, then hysteresis and small regions."""
     mask = np.zeros_like(foreground)
@@ -271,7 +282,7 @@ def _clean(
     side = _odd(_scaled_px(s.closing_px, shape))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     # Closing joins foreground to a border nearer than its kernel, and would cut the background into "holes".
-    margin = side
+    margin = _odd(_scaled_px(max(s.closing_px, s.closing_hint_px), shape))
     window = (slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin))
     tight = foreground[window]
     differs = cv2.min(candidate[window], 1)
@@ -280,7 +291,17 @@ def _clean(
     labels, area, n_strong = _regions(tight, strong, 8)
     tight = _select(labels, (area >= 0.25 * s.min_area_px * scale) & (n_strong > 0), of_zero=False)
     tight |= cv2.morphologyEx(tight, cv2.MORPH_CLOSE, kernel) & differs
-    labels, area, differing = _regions(1 - tight, differs, 4)
+    # Clothes of nearly the colour of the wall: each pixel is within the threshold, their average is not noise.
+    # The average leaves the foreground and its blurred rim out.
+    beside = cv2.dilate(tight, np.ones((3, 3), dtype=np.uint8)) ^ 1
+    total = cv2.boxFilter(cv2.multiply(largest[window], beside), cv2.CV_32F, (5, 5), normalize=False)
+    count = cv2.boxFilter(beside, cv2.CV_32F, (5, 5), normalize=False)
+    hint = (total >= weak_level * count).view(np.uint8) & (shadow[window] ^ 1)
+    wide = _odd(_scaled_px(s.closing_hint_px, shape))
+    ellipse = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (wide, wide))
+    tight |= cv2.morphologyEx(tight, cv2.MORPH_CLOSE, ellipse) & hint
+    evidence = differs | hint
+    labels, area, differing = _regions(1 - tight, evidence, 4)
     fill = (area < 0.2 * s.min_area_px * scale) | ((differing > 0.5 * area) & (area < s.max_hole_px * scale))
     tight |= _select(labels, fill, of_zero=False)
     mask[window] = _large_regions(tight, s, shape, strong)

@@ -46,7 +46,7 @@ from mocap.volume import surface_map
 
 Array = NDArray[np.float64]
 
-CROP_MARGIN_M = 0.4  # how far beyond the hull particles may meet themselves
+CROP_MARGIN_M = 0.3  # how far beyond the hull particles may meet themselves
 MIN_VOXELS = 200  # fewer (1.6 litres at 2 cm) are no body: the pose is carried on instead
 _SEARCH_STD_M = 0.06
 _SEARCH_STD_RAD = 0.2

@@ -33,26 +33,34 @@ def visible_views(
     neighbour would nearly always), the line is the exact voxel traversal instead of Bresenham's, and it ends
     at the bounding box of all occupied voxels, behind which nothing can block.
     """
+    outer, outer_visible, outer_pixels = _surface_views(voxels, is_surface, grid, rig)
+    visible = np.zeros((len(voxels), len(rig)), dtype=np.bool_)
+    pixels = np.full((len(voxels), len(rig)), -1, dtype=np.int32)
+    visible[outer] = outer_visible
+    pixels[outer] = outer_pixels
+    return visible, pixels
+
+
+def _surface_views(
+    voxels: Voxels, is_surface: NDArray[np.bool_], grid: VoxelGrid, rig: CameraRig
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int32]]:
+    """Positions (S,) of the surface voxels in the list, their visibility (S, C) and pixels (S, C)."""
     v = check_voxels(voxels, grid)
-    visible = np.zeros((len(v), len(rig)), dtype=np.bool_)
-    pixels = np.full((len(v), len(rig)), -1, dtype=np.int32)
     outer = np.flatnonzero(is_surface)
+    visible = np.zeros((len(outer), len(rig)), dtype=np.bool_)
+    pixels = np.empty((len(outer), len(rig)), dtype=np.int32)
     if len(outer) == 0:
-        return visible, pixels
+        return outer, visible, pixels
     subs, lower, upper = _kernels.subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
     crop = np.zeros(tuple(upper - lower), dtype=np.uint8)
     _kernels.fill_crop(subs, lower, crop)
     outer_subs = subs[outer]
     centers = grid.origin + (outer_subs + 0.5) * grid.voxel_size_m
-    outer_pixels = np.empty((len(outer), len(rig)), dtype=np.int32)
     for c, camera in enumerate(rig):
-        outer_pixels[:, c] = pixels_of_points(camera, centers)
+        pixels[:, c] = pixels_of_points(camera, centers)
     eyes = (np.array([camera.center for camera in rig]) - grid.origin) / grid.voxel_size_m
-    outer_visible = np.empty(outer_pixels.shape, dtype=np.bool_)
-    _kernels.line_of_sight(outer_subs, outer_pixels, crop, lower, eyes, SKIP_VOXELS, outer_visible)
-    visible[outer] = outer_visible
-    pixels[outer] = outer_pixels
-    return visible, pixels
+    _kernels.line_of_sight(outer_subs, pixels, crop, lower, eyes, SKIP_VOXELS, visible)
+    return outer, visible, pixels
 
 
 def colour_hull(
@@ -74,14 +82,17 @@ def colour_hull(
         got = [np.shape(image) for image in images]
         if got != expected or any(image.dtype != np.uint8 for image in images):
             raise ValueError(f"images: expected uint8 of shapes {expected}, got {got}")
-    visible, pixels = visible_views(voxels, is_surface, grid, rig)
-    n_views = visible.sum(axis=1).astype(np.uint8)
-    rgb = np.zeros((len(n_views), 3), dtype=np.uint8)
-    if images is not None and len(n_views):
-        sums = np.zeros((len(n_views), 3), dtype=np.int32)
-        for c, image in enumerate(images):
-            seen = np.flatnonzero(visible[:, c])
-            sums[seen] += image.reshape(-1, 3)[pixels[seen, c]]
-        count = np.maximum(n_views, 1).astype(np.int32)[:, None]
-        rgb = ((sums + count // 2) // count).astype(np.uint8)
+    outer, visible, pixels = _surface_views(voxels, is_surface, grid, rig)
+    sums = np.zeros((len(outer), 3), dtype=np.int32)
+    count = np.zeros(len(outer), dtype=np.int32)
+    for c in range(len(rig)):
+        count += visible[:, c]
+        if images is not None:
+            colours = images[c].reshape(-1, 3).take(pixels[:, c], axis=0, mode="clip")
+            sums += colours * visible[:, c, None]
+    n_views = np.zeros(len(voxels), dtype=np.uint8)
+    n_views[outer] = count
+    rgb = np.zeros((len(voxels), 3), dtype=np.uint8)
+    divisor = np.maximum(count, 1)[:, None]
+    rgb[outer] = (sums + divisor // 2) // divisor
     return Hull(grid, np.ascontiguousarray(voxels, dtype=np.int32), np.asarray(is_surface), n_views, rgb)

@@ -1,0 +1,200 @@
+"""The anatomical skeleton: joints, segment lengths from published anthropometry, forward kinematics.
+
+Body frame: x forward, y left, z up; "left" is the subject's left. All joint frames are parallel to the body
+frame in the neutral pose: upright, arms hanging, palms to the thighs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import LANDMARKS, Skeleton
+
+Array = NDArray[np.float64]
+
+JOINTS: tuple[str, ...] = (
+    "pelvis",
+    "spine",
+    "chest",
+    "neck",
+    "head",
+    "left_clavicle",
+    "left_shoulder",
+    "left_elbow",
+    "left_wrist",
+    "right_clavicle",
+    "right_shoulder",
+    "right_elbow",
+    "right_wrist",
+    "left_hip",
+    "left_knee",
+    "left_ankle",
+    "left_toe",
+    "right_hip",
+    "right_knee",
+    "right_ankle",
+    "right_toe",
+)
+JOINT: dict[str, int] = {name: i for i, name in enumerate(JOINTS)}
+PARENTS: NDArray[np.int64] = np.array(
+    [-1, 0, 1, 2, 3, 2, 5, 6, 7, 2, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19], dtype=np.int64
+)
+SIDES: tuple[tuple[str, float], ...] = (("left", 1.0), ("right", -1.0))
+SOLE_M = 0.018  # shoe sole under the bare foot
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """Joint layout of one person.
+
+    offsets : (J, 3) m, joint origin in the parent's frame, neutral pose.  stature_m : barefoot height.
+    girth : (J,) relative thickness of the segment that starts at each joint (1 = average).
+    head_top : (3,) m, top of the head in the head's frame (on the surface once the body is built).
+    """
+
+    stature_m: float
+    sex: str
+    build: float
+    offsets: Array
+    girth: Array
+    head_top: Array
+
+    @property
+    def ankle_height_m(self) -> float:
+        """Height of the ankle joint over the floor when the shoe stands flat."""
+        return 0.039 * self.stature_m + SOLE_M
+
+    @property
+    def thigh_m(self) -> float:
+        return float(np.linalg.norm(self.offsets[JOINT["left_knee"]]))
+
+    @property
+    def shank_m(self) -> float:
+        return float(np.linalg.norm(self.offsets[JOINT["left_ankle"]]))
+
+    @property
+    def upper_arm_m(self) -> float:
+        return float(np.linalg.norm(self.offsets[JOINT["left_elbow"]]))
+
+    @property
+    def forearm_m(self) -> float:
+        return float(np.linalg.norm(self.offsets[JOINT["left_wrist"]]))
+
+    @property
+    def standing_height_m(self) -> float:
+        """Height of the pelvis over the floor in the neutral pose."""
+        return self.thigh_m + self.shank_m + self.ankle_height_m
+
+
+def make_figure(
+    stature_m: float, sex: str, build: float, *, rng: np.random.Generator, variation: float = 0.02
+) -> Figure:
+    """Skeleton of a person.
+
+    stature_m : barefoot height.  sex : "male" or "female".  build : thickness, 1 = average, 0.85 slim, 1.2 stout.
+    Segment lengths vary by the relative standard deviation `variation`; left and right are equal and the
+    stature is kept. Raises ValueError for an unknown sex or numbers out of range.
+    Source: segment lengths as fractions of stature, Drillis and Contini 1966 as printed in Winter,
+    Biomechanics and Motor Control of Human Movement, Fig. 4.1; joint-centre breadths from Dreyfuss,
+    The Measure of Man (bi-iliac and biacromial breadth less the soft tissue).
+    """
+    if sex not in ("male", "female"):
+        raise ValueError(f"sex must be 'male' or 'female', got {sex!r}")
+    if not 1.2 <= stature_m <= 2.2:
+        raise ValueError(f"stature_m must lie in 1.2 .. 2.2, got {stature_m}")
+    if not 0.7 <= build <= 1.5:
+        raise ValueError(f"build must lie in 0.7 .. 1.5, got {build}")
+    vary = 1.0 + variation * np.clip(rng.standard_normal(12), -2, 2)
+    is_male = sex == "male"
+    ankle, knee, hip, neck = 0.039, 0.285, 0.530, 0.845
+    leg = (hip - ankle) * (1 + 0.4 * (vary[0] - 1))
+    shank = (knee - ankle) / (hip - ankle) * leg * (1 + 0.5 * (vary[1] - 1))
+    thigh = leg - shank
+    trunk = (neck - hip) * (1 + 0.5 * (vary[2] - 1))
+    skull = 1.0 - ankle - leg - trunk  # what is left, so that the stature holds
+    upper_arm, forearm = 0.186 * vary[3], 0.146 * vary[4]
+    shoulder = (0.105 if is_male else 0.097) * vary[5]
+    hip_half = (0.0480 if is_male else 0.0515) * vary[6]
+    ball = 0.068 * vary[7]
+    spine, chest = 0.17 * trunk, 0.48 * trunk
+    offsets = np.zeros((len(JOINTS), 3))
+
+    def put(name: str, x: float, y: float, z: float) -> None:
+        offsets[JOINT[name]] = np.array([x, y, z]) * stature_m
+
+    put("spine", -0.010, 0, spine)
+    put("chest", -0.002, 0, chest - spine)
+    put("neck", 0.002, 0, trunk - chest)
+    put("head", 0.012, 0, 0.29 * skull)
+    for side, sign in SIDES:
+        put(f"{side}_clavicle", 0.012, sign * 0.016, trunk - chest - 0.022)
+        put(f"{side}_shoulder", -0.012, sign * (shoulder - 0.016), -0.008)
+        put(f"{side}_elbow", 0, 0, -upper_arm)
+        put(f"{side}_wrist", 0, 0, -forearm)
+        put(f"{side}_hip", 0, sign * hip_half, 0)
+        put(f"{side}_knee", 0, 0, -thigh)
+        put(f"{side}_ankle", 0, 0, -shank)
+        put(f"{side}_toe", ball, 0, -0.75 * ankle)
+    girth = np.full(len(JOINTS), build)
+    for name in ("head", "neck"):
+        girth[JOINT[name]] = build**0.3
+    for name in ("wrist", "ankle", "toe"):
+        for side, _ in SIDES:
+            girth[JOINT[f"{side}_{name}"]] = build**0.25
+    head_top = np.array([-0.005, 0.0, 0.71 * skull]) * stature_m
+    return Figure(stature_m, sex, build, offsets, girth, head_top)
+
+
+def forward_kinematics(offsets: Array, rotations: Array, root_position: Array) -> tuple[Array, Array]:
+    """World positions (T, J, 3) m and rotations (T, J, 3, 3) of all joints.
+
+    offsets : (J, 3) m.  rotations : (T, J, 3, 3) local.  root_position : (T, 3) m, world.
+    """
+    T, J = rotations.shape[:2]
+    position = np.zeros((T, J, 3))
+    rotation = np.zeros((T, J, 3, 3))
+    position[:, 0] = root_position
+    rotation[:, 0] = rotations[:, 0]
+    for j in range(1, J):
+        p = PARENTS[j]
+        position[:, j] = position[:, p] + rotation[:, p] @ offsets[j]
+        rotation[:, j] = rotation[:, p] @ rotations[:, j]
+    return position, rotation
+
+
+def landmarks_of(figure: Figure, position: Array, rotation: Array) -> Array:
+    """The 15 landmarks in the order of LANDMARKS, (T, 15, 3) m, from forward kinematics of the same figure."""
+    out = np.zeros((len(position), len(LANDMARKS), 3))
+    for i, name in enumerate(LANDMARKS):
+        if name == "head":
+            out[:, i] = position[:, JOINT["head"]] + rotation[:, JOINT["head"]] @ figure.head_top
+        else:
+            out[:, i] = position[:, JOINT[name]]
+    return out
+
+
+def skeleton_of(figure: Figure, rotations: Array, root_position: Array, person: int) -> Skeleton:
+    """The same motion as an animation skeleton.  rotations : (T, J, 3, 3), root_position : (T, 3) m."""
+    h = figure.stature_m
+    ends = {JOINT["head"]: figure.head_top}
+    for side, _ in SIDES:
+        ends[JOINT[f"{side}_wrist"]] = np.array([0.0, 0.0, -0.108 * h])
+        ends[JOINT[f"{side}_toe"]] = np.array([0.045 * h, 0.0, 0.0])
+    return Skeleton(person, JOINTS, PARENTS, figure.offsets, ends, rotations, root_position)
+
+
+def rotation_about(axis: int, angle: Array | float) -> Array:
+    """Rotation matrices (..., 3, 3) about the x (0), y (1) or z (2) axis by angle (...,) rad."""
+    a = np.asarray(angle, dtype=np.float64)
+    c, s = np.cos(a), np.sin(a)
+    out = np.zeros((*a.shape, 3, 3))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    out[..., axis, axis] = 1.0
+    out[..., i, i] = c
+    out[..., j, j] = c
+    out[..., i, j] = -s
+    out[..., j, i] = s
+    return out
