@@ -45,7 +45,8 @@ class ForegroundSettings:
         background by this share of the largest difference within outline_px: blur and compression draw a halo
         round a person.
     closing_px : gaps up to this width are closed where the picture differs from the background.
-    closing_hint_px : wider gaps are closed where it differs by half the threshold on the average of 5 x 5 pixels.
+    closing_hint_px : gaps up to this width are closed, and holes filled, where it differs by half the threshold on
+        the average of 5 x 5 pixels.
     max_hole_px : holes of differing pixels up to this area are filled (holes that show the background stay).
     min_area_px, min_area_share : smaller regions are dropped; share of the largest region.
     adaptation : share of the way to the new picture that background pixels go per picture; 0 = never. Only the
@@ -68,7 +69,7 @@ class ForegroundSettings:
     outline_share: float = 0.35
     outline_px: int = 5
     closing_px: int = 7
-    closing_hint_px: int = 15
+    closing_hint_px: int = 5
     max_hole_px: float = 500.0
     min_area_px: float = 150.0
     min_area_share: float = 0.02

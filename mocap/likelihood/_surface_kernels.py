@@ -94,9 +94,8 @@ def hull_to_body(
     values = np.empty(H.shape[0])
     foot = np.empty(3)
     best_n = np.empty(3)
-    best_x = np.empty(3)
+    slope = np.empty(3)
     n = np.empty(3)
-    x = np.empty(3)
     cost = 0.0
     for i in range(points.shape[0]):
         best = np.inf
@@ -110,8 +109,9 @@ def hull_to_body(
             px = points[i, 0] - start[k, 0]
             py = points[i, 1] - start[k, 1]
             pz = points[i, 2] - start[k, 2]
-            s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
-            s = min(max(s, 0.0), 1.0)
+            squared = ax * ax + ay * ay + az * az + 1e-12
+            along = (px * ax + py * ay + pz * az) / squared
+            s = min(max(along, 0.0), 1.0)
             foot[0] = start[k, 0] + s * ax
             foot[1] = start[k, 1] + s * ay
             foot[2] = start[k, 2] + s * az
@@ -133,19 +133,21 @@ def hull_to_body(
                 best_n[0] = dx * inv
                 best_n[1] = dy * inv
                 best_n[2] = dz * inv
-                for c in range(3):
-                    best_x[c] = foot[c] + radius * best_n[c]
+                # Beside the cone the radius changes along the axis; beyond its ends it does not.
+                taper = (radii[k, 1] - radii[k, 0]) / squared if s == along else 0.0
+                slope[0] = taper * ax
+                slope[1] = taper * ay
+                slope[2] = taper * az
         q = best_r / scale
         cost += 0.5 * scale * scale * q * q / (1.0 + q * q)
         weight = 1.0 / ((1.0 + q * q) * (1.0 + q * q))
         weight *= max(best_cos, 0.0)
         if weight > 1e-4:
+            # d(residual) = -(gradient of the distance) . dx: it shrinks when the flesh moves outwards.
             for c in range(3):
-                n[c] = -best_n[c]
-                x[c] = best_x[c]
-            # d(residual) = -n_body . dx: the residual shrinks when the flesh moves outwards.
+                n[c] = slope[c] - best_n[c]
             add_row(
-                x,
+                points[i],
                 n,
                 best_r,
                 weight,

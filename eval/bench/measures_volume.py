@@ -1,0 +1,147 @@
+"""Carving, surface and colour, components: 7 cameras 640 x 480, 5 x 4 x 2.2 m at 2 cm, one person, one thread."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+
+from eval.bench.registry import Skip, interleaved_medians, measure
+from eval.bench.scene import Scene, make_scene
+
+_SEED = 7
+
+
+@lru_cache(maxsize=1)
+def scene() -> Scene:
+    """The benchmark scene, made once per process."""
+    return make_scene(rng=np.random.default_rng(_SEED))
+
+
+@lru_cache(maxsize=1)
+def _carver() -> Any:
+    from mocap.volume import Carver
+
+    return Carver(scene().rig, scene().grid)
+
+
+def _carve_next(n_faulty_views: int) -> Any:
+    frames = cycle(scene().masks)
+    return lambda: _carver().carve(next(frames), n_faulty_views=n_faulty_views)
+
+
+@measure("carve_ms", unit="ms", better="lower")
+def carve_ms() -> float:
+    """Strict carving of one frame."""
+    return interleaved_medians([_carve_next(0)], 40)[0] * 1e3
+
+
+@measure("carve_one_faulty_ms", unit="ms", better="lower")
+def carve_one_faulty_ms() -> float:
+    """Carving that lets one camera be wrong."""
+    return interleaved_medians([_carve_next(1)], 40)[0] * 1e3
+
+
+@measure("carve_table_s", unit="s", better="lower")
+def carve_table_s() -> float:
+    """Building the tables of the carver, once per session."""
+    from mocap.volume import Carver
+
+    return interleaved_medians([lambda: Carver(scene().rig, scene().grid)], 2)[0]
+
+
+@measure("carve_over_bruteforce", unit="x", better="higher")
+def carve_over_bruteforce() -> float:
+    """How many times faster than numpy with a look-up table of pixels.
+
+    The table is given to numpy for free: projecting every centre in every frame would be slower still.
+    """
+    s = scene()
+    voxels = np.arange(s.grid.n_voxels, dtype=np.int32)
+    pixels = [_carver().pixels(voxels[i : i + 500_000]).T for i in range(0, len(voxels), 500_000)]
+    table = np.concatenate(pixels, axis=1)
+    frames = cycle(s.masks)
+
+    def with_numpy() -> Any:
+        misses = np.zeros(table.shape[1], dtype=np.uint8)
+        seen = np.zeros(table.shape[1], dtype=np.uint8)
+        for row, mask in zip(table, next(frames), strict=True):
+            inside = row >= 0
+            seen += inside
+            misses += inside & ~mask.ravel().take(row, mode="clip")
+        return np.flatnonzero((seen >= 4) & (misses == 0))
+
+    assert np.array_equal(with_numpy(), _carver().carve(s.masks[0], n_faulty_views=0))
+    ours, theirs = interleaved_medians([_carve_next(0), with_numpy], 3)
+    return theirs / ours
+
+
+@measure("carve_over_open3d", unit="x", better="higher")
+def carve_over_open3d() -> float | Skip:
+    """How many times faster than Open3D's VoxelGrid.carve_silhouette."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        return Skip(f"open3d cannot be imported ({error})")
+    s = scene()
+    extent = s.grid.upper - s.grid.origin
+    parameters = []
+    for camera in s.rig:
+        intrinsic = open3d.camera.PinholeCameraIntrinsic(*camera.size, camera.K)
+        extrinsic = np.eye(4)
+        extrinsic[:3, :3], extrinsic[:3, 3] = camera.R, camera.t
+        one = open3d.camera.PinholeCameraParameters()
+        one.intrinsic, one.extrinsic = intrinsic, extrinsic
+        parameters.append(one)
+    frames = cycle(s.masks)
+
+    def with_open3d() -> Any:
+        grid = open3d.geometry.VoxelGrid.create_dense(
+            s.grid.origin, np.zeros(3), s.grid.voxel_size_m, *extent
+        )
+        for one, mask in zip(parameters, next(frames), strict=True):
+            picture = open3d.geometry.Image(mask.astype(np.float32))
+            grid.carve_silhouette(picture, one, keep_voxels_outside_image=False)
+        return grid
+
+    ours, theirs = interleaved_medians([_carve_next(0), with_open3d], 2)
+    return theirs / ours
+
+
+@measure("surface_colour_ms", unit="ms", better="lower")
+def surface_colour_ms() -> float:
+    """Surface voxels, visibility by line of sight, mean colour."""
+    from mocap.volume import colour_hull, surface_voxels
+
+    s = scene()
+    voxels = _carver().carve(s.masks[0], n_faulty_views=0)
+
+    def run() -> Any:
+        return colour_hull(voxels, surface_voxels(voxels, s.grid), s.grid, s.rig, s.images[0])
+
+    return interleaved_medians([run], 30)[0] * 1e3
+
+
+@measure("surface_map_ms", unit="ms", better="lower")
+def surface_map_ms() -> float:
+    """Smoothed surface and occupancy of the person's surroundings, packed for the likelihood."""
+    from mocap.volume import surface_map, surface_voxels
+
+    s = scene()
+    voxels = _carver().carve(s.masks[0], n_faulty_views=0)
+    is_surface = surface_voxels(voxels, s.grid)
+    subs = s.grid.subscripts(voxels)
+    lower, upper = subs.min(axis=0) - 20, subs.max(axis=0) + 21
+    return interleaved_medians([lambda: surface_map(voxels, is_surface, s.grid, lower, upper)], 30)[0] * 1e3
+
+
+@measure("components_ms", unit="ms", better="lower")
+def components_ms() -> float:
+    """26-connected components of the hull with one faulty view allowed."""
+    from mocap.volume import connected_components
+
+    s = scene()
+    voxels = _carver().carve(s.masks[0], n_faulty_views=1)
+    return interleaved_medians([lambda: connected_components(voxels, s.grid)], 40)[0] * 1e3

@@ -1,0 +1,75 @@
+"""The benchmark's registry, its command line and its committed baseline."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from eval.bench.__main__ import BASELINE, main
+from eval.bench.registry import interleaved_medians, load_measures, measure, select
+from eval.bench.scene import make_scene
+
+
+def test_every_measure_has_a_direction_and_needed_names_exist():
+    measures = {m.name: m for m in load_measures()}
+    needed = {
+        "carve_ms", "carve_over_bruteforce", "carve_over_open3d",
+        "segmentation_over_mog2", "surface_colour_ms", "components_ms",
+    }  # fmt: skip
+    assert needed <= set(measures)
+    assert all(m.better in ("higher", "lower") and m.unit for m in measures.values())
+    assert all(m.run.__doc__ for m in measures.values())
+
+
+def test_baseline_agrees_with_the_registry():
+    measures = {m.name: m for m in load_measures()}
+    baseline = json.loads(BASELINE.read_text())
+    assert set(baseline) <= set(measures)
+    for name, entry in baseline.items():
+        assert (entry["unit"], entry["better"]) == (measures[name].unit, measures[name].better)
+        assert entry["value"] > 0
+
+
+def test_one_measure_prints_one_json_object(capsys):
+    assert main(["--json", "--only", "components_ms", "--compare"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"components_ms"}
+    assert result["components_ms"]["unit"] == "ms"
+    assert 0 < result["components_ms"]["value"] < 1000
+    assert result["components_ms"]["of_baseline"] > 0
+
+
+def test_unknown_names_are_an_error_and_patterns_select(capsys):
+    assert main(["--only", "nothing_like_this"]) == 2
+    assert "nothing_like_this" in capsys.readouterr().err
+    measures = load_measures()
+    assert {m.name for m in select(measures, "carve_over_*")} == {
+        "carve_over_bruteforce",
+        "carve_over_open3d",
+    }
+    assert select(measures, None) == measures
+    assert main(["--list", "--only", "carve_ms"]) == 0
+    assert capsys.readouterr().out == "carve_ms\n"
+
+
+def test_registering_twice_or_without_direction_is_refused():
+    with pytest.raises(ValueError, match="registered twice"):
+        measure("carve_ms", unit="ms", better="lower")(lambda: 1.0)
+    with pytest.raises(ValueError, match="better"):
+        measure("other", unit="ms", better="smaller")
+
+
+def test_medians_are_interleaved():
+    calls: list[str] = []
+    times = interleaved_medians([lambda: calls.append("a"), lambda: calls.append("b")], 3)
+    assert "".join(calls) == "abababab"
+    assert all(t >= 0 for t in times)
+
+
+def test_the_scene_is_the_same_for_the_same_seed_and_shows_the_person_everywhere():
+    a = make_scene(1, rng=np.random.default_rng(1))
+    b = make_scene(1, rng=np.random.default_rng(1))
+    assert np.array_equal(a.images[0][3], b.images[0][3])
+    assert all(m.sum() > 2000 for m in a.masks[0])
