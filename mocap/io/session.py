@@ -24,9 +24,9 @@ from mocap.io.video import ClipInfo, clip_info, size_error
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 DEFAULT_FPS = 30.0
-# Clips of one take that were stopped by hand differ by a few frames; more than that were not one take.
-MAX_FRAME_DIFFERENCE = 5
-MAX_FRAME_DIFFERENCE_SHARE = 0.01
+# Headers of sound videos promise a few frames more than can be decoded; more than that means a damaged file.
+MAX_HEADER_DIFFERENCE = 5
+MAX_HEADER_DIFFERENCE_SHARE = 0.01
 
 _COLOURS = {
     "white": (255, 255, 255),
@@ -93,6 +93,7 @@ class SessionSettings:
     room_bounds_m: Bounds | None = None
     person_height_m: float | None = None
     marker_colour: tuple[int, int, int] | None = None
+    cameras: tuple[str, ...] | None = None
     camera_map: Mapping[str, str] | None = None
     calibration_units: str | None = None
     calibration_up: str | None = None
@@ -104,8 +105,9 @@ def read_session_settings(path: Path | str) -> SessionSettings:
     """Read and check session.toml; a file that is not there gives the defaults.
 
     Keys: fps, frames = [start, stop], room_bounds_m = [[x, y, z], [x, y, z]], person_height_m, marker_colour =
-    "red" | "#rrggbb" | [r, g, b], calibration_units, calibration_up, checkerboard = [columns, rows] (inner
-    corners), checkerboard_square_m, and the table [camera_map] file name = "camera name".
+    "red" | "#rrggbb" | [r, g, b], cameras = ["camera name", ...] (the others are left out), calibration_units,
+    calibration_up, checkerboard = [columns, rows] (inner corners), checkerboard_square_m, and the table
+    [camera_map] file name = "camera name".
     Raises MocapError naming the key for anything else.
     """
     path = Path(path)
@@ -127,6 +129,7 @@ def read_session_settings(path: Path | str) -> SessionSettings:
         room_bounds_m=_bounds(path, document),
         person_height_m=_positive(path, document, "person_height_m", 0.3, 3.0),
         marker_colour=_colour(path, document),
+        cameras=_cameras(path, document),
         camera_map=_camera_map(path, document),
         calibration_units=_units(path, document),
         calibration_up=_up(path, document),
@@ -146,8 +149,9 @@ def open_session(
     calibration : file to use instead of the session's own.  frames : (start, stop), stop excluded, None = from
     the first / to the last common frame; overrides session.toml.
     Raises MocapError with camera, file and remedy for no or bad calibration, no pictures and no masks, a source
-    without calibration, fewer than two cameras, sizes differing from the calibration, clips of different
-    length, unreadable, truncated or empty clips, a frame range outside the clips.
+    without calibration, a calibrated camera without source (unless session.toml names the `cameras` to use),
+    fewer than two cameras, sizes differing from the calibration, clips of different length, unreadable,
+    truncated or empty clips, a frame range outside the clips.
     """
     root = Path(root)
     if not root.is_dir():
@@ -159,7 +163,8 @@ def open_session(
     found = read_calibration(calibration_path, units=settings.calibration_units, up=settings.calibration_up)
     warnings = list(found.warnings)
     sources = _match_sources(root, settings, found.rig, calibration_path, warnings)
-    rig, images, masks = _choose_cameras(root, found.rig, sources, warnings)
+    wanted_rig = _wanted_cameras(root, found.rig, settings.cameras)
+    rig, images, masks = _choose_cameras(root, wanted_rig, sources, warnings)
     backgrounds = {n: p for n, p in sources["background"].items() if n in rig.names}
     detections = {n: p for n, p in sources["detections"].items() if n in rig.names}
     if backgrounds and (lacking := [n for n in rig.names if n not in backgrounds]):
@@ -181,7 +186,7 @@ def open_session(
             _check_clip_size(clip, rig[name])
             counted[f"{name} (masks)"] = clip
     wanted = frames if frames is not None else settings.frames
-    chosen = _choose_frames(root, counted, detections, wanted, warnings)
+    chosen = _choose_frames(root, counted, detections, wanted)
     truth = root / "truth"
     return Session(
         root=root,
@@ -303,19 +308,33 @@ def _match_sources(
     return matched
 
 
+def _wanted_cameras(root: Path, rig: CameraRig, cameras: tuple[str, ...] | None) -> CameraRig:
+    """The cameras that session.toml asks for, in the order of the calibration; all when it does not say."""
+    if cameras is None:
+        return rig
+    if strangers := [n for n in cameras if n not in rig.names]:
+        raise _bad_key(
+            root / "session.toml",
+            "cameras",
+            f"names {_listed(strangers)}, but the calibration has {_listed(rig.names)}",
+        )
+    return rig.subset([n for n in rig.names if n in cameras])
+
+
 def _choose_cameras(
     root: Path, rig: CameraRig, sources: Mapping[str, Mapping[str, Path]], warnings: list[str]
 ) -> tuple[CameraRig, dict[str, Path], dict[str, Path]]:
     """The rig of cameras with a source, and image and mask sources that each cover it or are empty."""
     pictures, masks, detections = sources["pictures"], sources["masks"], sources["detections"]
-    if not pictures and not masks and not detections:
+    if not any(n in kind for kind in (pictures, masks, detections) for n in rig.names):
         raise MocapError(
-            "the session has no pictures and no masks",
+            "the session has no pictures and no masks"
+            + (f" of camera {_listed(rig.names)}" if pictures or masks or detections else ""),
             path=root,
             remedy="put videos/CAM.mp4 or images/CAM/*.png there (or masks/CAM/*.png), CAM as named in the "
             "calibration",
         )
-    main = pictures.keys() | masks.keys() if pictures or masks else detections.keys()
+    main = (pictures.keys() | masks.keys()) & set(rig.names) or detections.keys()
     present = [n for n in rig.names if n in main]
     absent = [n for n in rig.names if n not in main]
     if len(present) < 2:
@@ -327,9 +346,14 @@ def _choose_cameras(
             remedy="add the videos of the other cameras, named as in the calibration",
         )
     if absent:
-        warnings.append(
-            f"camera {_listed(absent)} {'is' if len(absent) == 1 else 'are'} calibrated but has no video, "
-            "pictures or masks: left out"
+        kept = ", ".join(f'"{n}"' for n in present)
+        raise MocapError(
+            f"camera {_listed(absent)} {'is' if len(absent) == 1 else 'are'} calibrated but "
+            f"{'has' if len(absent) == 1 else 'have'} no video, pictures or masks",
+            path=root,
+            camera=absent[0],
+            remedy="add the missing clip, named as in the calibration, or leave the camera out in session.toml: "
+            f"cameras = [{kept}]",
         )
     images = {n: pictures[n] for n in present if n in pictures}
     given = {n: masks[n] for n in present if n in masks}
@@ -378,7 +402,6 @@ def _choose_frames(
     clips: Mapping[str, ClipInfo],
     detections: Mapping[str, Path],
     wanted: tuple[int | None, int | None] | None,
-    warnings: list[str],
 ) -> range:
     counts = {name: clip.n_frames for name, clip in clips.items()}
     if not counts:
@@ -398,8 +421,8 @@ def _choose_frames(
 
     if stop is None:
         _check_cut_off(clips, shortest)
-        allowed = max(MAX_FRAME_DIFFERENCE, MAX_FRAME_DIFFERENCE_SHARE * longest)
-        if longest - shortest > allowed:
+        if longest > shortest:
+            # One lost frame shifts the rest of a clip, so that nobody but the user can say which frames belong together.
             listed = ", ".join(f"{n}: {c}" for n, c in counts.items())
             raise MocapError(
                 f"the clips have different numbers of frames ({listed}); were they started together?",
@@ -407,9 +430,6 @@ def _choose_frames(
                 camera=min(counts, key=counts.__getitem__),
                 remedy=f"if they are synchronised from the first frame on, say so with `--frames 0:{shortest}`",
             )
-        if longest > shortest:
-            listed = ", ".join(f"{n}: {c}" for n, c in counts.items() if c > shortest)
-            warnings.append(f"the clips differ by a few frames: {shortest} are used ({listed})")
     return range(start or 0, last)
 
 
@@ -419,7 +439,7 @@ def _check_cut_off(clips: Mapping[str, ClipInfo], shortest: int) -> None:
         if clip.header_frames is None:
             continue
         promised = clip.header_frames
-        if promised - clip.n_frames > max(MAX_FRAME_DIFFERENCE, MAX_FRAME_DIFFERENCE_SHARE * promised):
+        if promised - clip.n_frames > max(MAX_HEADER_DIFFERENCE, MAX_HEADER_DIFFERENCE_SHARE * promised):
             raise MocapError(
                 f"the video is truncated or damaged: {promised} frames are promised, {clip.n_frames} can be decoded",
                 path=clip.path,
@@ -541,6 +561,15 @@ def _colour(path: Path, document: dict[str, Any]) -> tuple[int, int, int] | None
         "marker_colour",
         f'is {value!r}, expected [r, g, b] in 0..255, "#rrggbb" or {", ".join(_COLOURS)}',
     )
+
+
+def _cameras(path: Path, document: dict[str, Any]) -> tuple[str, ...] | None:
+    value = document.get("cameras")
+    if value is None:
+        return None
+    if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
+        raise _bad_key(path, "cameras", f"is {value!r}, expected a list of names of calibrated cameras")
+    return tuple(value)
 
 
 def _camera_map(path: Path, document: dict[str, Any]) -> dict[str, str] | None:

@@ -97,12 +97,27 @@ def hull_to_body(
     slope = np.empty(3)
     n = np.empty(3)
     cost = 0.0
+    # Bounding spheres of the cones: most are out of the question at a glance.
+    middle = 0.5 * (start + end)
+    reach = np.empty(n_cones)
+    for k in range(n_cones):
+        length = 0.0
+        for c in range(3):
+            length += (end[k, c] - start[k, c]) ** 2
+        reach[k] = 0.5 * math.sqrt(length) + max(radii[k, 0], radii[k, 1]) + excess
     for i in range(points.shape[0]):
         best = np.inf
+        best_root = np.inf
         best_r = 0.0
         best_k = -1
         best_cos = 0.0
         for k in range(n_cones):
+            limit = reach[k] + best_root
+            mx = points[i, 0] - middle[k, 0]
+            my = points[i, 1] - middle[k, 1]
+            mz = points[i, 2] - middle[k, 2]
+            if mx * mx + my * my + mz * mz > limit * limit:
+                continue
             ax = end[k, 0] - start[k, 0]
             ay = end[k, 1] - start[k, 1]
             az = end[k, 2] - start[k, 2]
@@ -127,6 +142,7 @@ def hull_to_body(
             score = r * r + miss * miss
             if score < best:
                 best = score
+                best_root = math.sqrt(score)
                 best_r = r
                 best_k = k
                 best_cos = cosine

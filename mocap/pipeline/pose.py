@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,7 @@ _BLIND_STD_M = 0.02
 _TRIAL_S = 3.0  # how far each way two starting hypotheses are compared
 _TRIAL_STRIDE = 3
 _CLEAR_FACING_NATS = 1.0
+_DECISIVE_NATS = 25.0  # one frame decides alone when its two hypotheses are this far apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,70 +172,107 @@ class FirstPose:
     log_likelihood: float
 
 
-def find_first_poses(
-    tools: PoseTools, hull: PersonHull, frame: int, walking_xy: Array | None, *, rng: np.random.Generator
-) -> list[FirstPose]:
-    """The best pose in one frame without a track, and the best one that faces the other way, best first.
+@dataclass(frozen=True, eq=False)
+class PoseSearch:
+    """The search for a first pose in one frame: what it is judged by.
 
-    Many kinds of poses in all directions, then short filters, by successive halving.
     walking_xy : (2,) displacement of the person around this frame, m, or None; when the person walks, facing the
     other way costs likelihood.
-    Source: CF 6.3.3; departs from it: the volume decides, the displacement is a prior.
     """
-    problem, surface = tools.problems(hull)
-    coarse = SurfaceProblem(
-        tools.body, tools.table, surface.hull, SurfaceFitSettings(n_hull_points=400, n_flesh_points=150)
-    )
-    layout = tools.body.layout
-    yaws: Array = np.arange(16, dtype=np.float64) * (2 * np.pi / 16)
-    is_moving = walking_xy is not None and float(np.hypot(*walking_xy)) > _MOVING_M
-    heading = float(np.arctan2(walking_xy[1], walking_xy[0])) if walking_xy is not None and is_moving else 0.0
-    if is_moving:
-        yaws += heading
-    candidates, labels = candidate_states(tools.body, tools.grid.centers(hull.voxels), yaws)
-    std = np.where(np.arange(layout.n_columns) < 3, _SEARCH_STD_M, _SEARCH_STD_RAD)
-    yaw = _yaw_column(tools.body)
 
-    def score(states: Array) -> Array:
-        value = problem.log_likelihood(states).sum(axis=1)
-        if is_moving and yaw is not None:
+    tools: PoseTools
+    hull: PersonHull
+    frame: int
+    walking_xy: Array | None
+
+    @cached_property
+    def problems(self) -> tuple[VoxelProblem, SurfaceProblem]:
+        return self.tools.problems(self.hull)
+
+    @property
+    def heading(self) -> float | None:
+        """Direction of walking, rad, or None for a person who stays."""
+        if self.walking_xy is None or float(np.hypot(*self.walking_xy)) <= _MOVING_M:
+            return None
+        return float(np.arctan2(self.walking_xy[1], self.walking_xy[0]))
+
+    @property
+    def std(self) -> Array:
+        is_position = np.arange(self.tools.body.layout.n_columns) < 3
+        return np.where(is_position, _SEARCH_STD_M, _SEARCH_STD_RAD)
+
+    def score(self, states: Array) -> Array:
+        """Log-likelihood of states (N, D) with the prior on the direction, (N,)."""
+        value = self.problems[0].log_likelihood(states).sum(axis=1)
+        yaw, heading = _yaw_column(self.tools.body), self.heading
+        if yaw is not None and heading is not None:
             value -= _FACING_NATS * (1.0 - np.cos(states[:, yaw] - heading))
         return value
 
     def attempt(
-        start: ParticleState, settings: ApfSettings, fit: SurfaceProblem, n_iterations: int
-    ) -> tuple[Array, float]:
+        self,
+        start: ParticleState,
+        label: str,
+        settings: ApfSettings,
+        *,
+        is_brief: bool,
+        rng: np.random.Generator,
+    ) -> FirstPose:
+        """A short filter from some particles, refined; with scouts unless it is brief."""
+        problem, surface = self.problems
         _, info = apf_step(problem, start, settings, rng=rng)
-        found = [info.estimate, refine(fit, info.estimate, tools.refine_settings(n_iterations))[0]]
-        if fit is surface:
+        if is_brief:
+            coarse = SurfaceFitSettings(n_hull_points=400, n_flesh_points=150)
+            surface = SurfaceProblem(self.tools.body, self.tools.table, surface.hull, coarse)
+        refining = self.tools.refine_settings(5 if is_brief else 12)
+        found = [info.estimate, refine(surface, info.estimate, refining)[0]]
+        if not is_brief:
             scouted, _ = scout_limbs(problem, found[1], ScoutSettings(max_limbs=4), rng=rng)
-            found += [scouted, refine(fit, scouted, tools.refine_settings(n_iterations))[0]]
-        states = np.stack(found)
-        values = score(states)
+            found += [scouted, refine(surface, scouted, refining)[0]]
+        values = self.score(np.stack(found))
         top = int(values.argmax())
-        return states[top], float(values[top])
+        return FirstPose(self.frame, found[top], label, float(values[top]))
 
-    copies = problem.propagate(np.repeat(candidates, _SEARCH_COPIES, axis=0), std, rng=rng)
+
+def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[FirstPose]:
+    """Many kinds of poses in all directions, the promising ones followed briefly, best first.
+
+    Source: CF 6.3.3; departs from it: the volume decides, the displacement is a prior.
+    """
+    body = search.tools.body
+    yaws: Array = np.arange(16, dtype=np.float64) * (2 * np.pi / 16) + (search.heading or 0.0)
+    centers = search.tools.grid.centers(search.hull.voxels)
+    candidates, labels = candidate_states(body, centers, yaws)
+    copies = np.repeat(candidates, _SEARCH_COPIES, axis=0)
+    copies = search.problems[0].propagate(copies, search.std, rng=rng)
     copies[::_SEARCH_COPIES] = candidates
-    value = score(copies).reshape(len(candidates), _SEARCH_COPIES)
+    value = search.score(copies).reshape(len(candidates), _SEARCH_COPIES)
     copies = copies.reshape(len(candidates), _SEARCH_COPIES, -1)
     equal = np.full(_SEARCH_COPIES, 1.0 / _SEARCH_COPIES)
-    brief = ApfSettings(n_layers=4, n_particles=80, std=std, alpha=0.5)
-    tried = []
-    for k in np.argsort(-value.max(axis=1), kind="stable")[: 5 * tools.pose.n_first_poses]:
-        state, reached = attempt(ParticleState(copies[k], equal), brief, coarse, 5)
-        tried.append(FirstPose(frame, state, labels[k], reached))
-    tried.sort(key=lambda found: -found.log_likelihood)
-    chosen = tried[: tools.pose.n_first_poses]
+    brief = ApfSettings(n_layers=4, n_particles=80, std=search.std, alpha=0.5)
+    tried = [
+        search.attempt(ParticleState(copies[k], equal), labels[k], brief, is_brief=True, rng=rng)
+        for k in np.argsort(-value.max(axis=1), kind="stable")[: 5 * search.tools.pose.n_first_poses]
+    ]
+    return sorted(tried, key=lambda found: -found.log_likelihood)
+
+
+def settle_first_poses(
+    search: PoseSearch, tried: Sequence[FirstPose], *, rng: np.random.Generator
+) -> list[FirstPose]:
+    """The best pose after following the best starts to the end, and the best one that faces the other way."""
+    yaw = _yaw_column(search.tools.body)
+    chosen = list(tried[: search.tools.pose.n_first_poses])
     if yaw is not None:
-        # The silhouette of a person from behind is that of the front: follow the best of the other half too.
+        # A person from behind has the silhouette of one from the front: follow the best of the other half too.
         behind = [f for f in tried if np.cos(f.state[yaw] - tried[0].state[yaw]) < 0]
         chosen += [f for f in behind[:3] if f not in chosen]
-    thorough = ApfSettings(n_layers=8, n_particles=200, std=std, alpha=0.6)
-    found = []
-    for start in chosen:
-        state, reached = attempt(initial_particles(problem, start.state, 2), thorough, surface, 12)
-        found.append(FirstPose(frame, state, start.label, reached))
+    thorough = ApfSettings(n_layers=8, n_particles=200, std=search.std, alpha=0.6)
+    problem = search.problems[0]
+    found = [
+        search.attempt(initial_particles(problem, f.state, 2), f.label, thorough, is_brief=False, rng=rng)
+        for f in chosen
+    ]
     found.sort(key=lambda f: -f.log_likelihood)
     if yaw is None:
         return found[:1]
@@ -361,7 +400,7 @@ def choose_hypothesis(
     Each is followed over every third frame with few particles. Front and back look alike in one frame; knees and
     elbows that bend tell them apart over time.
     """
-    if len(hypotheses) == 1:
+    if len(hypotheses) == 1 or hypotheses[0].log_likelihood > hypotheses[1].log_likelihood + _DECISIVE_NATS:
         return hypotheses[0], np.array([hypotheses[0].log_likelihood])
     quick = replace(
         tools,
@@ -409,15 +448,16 @@ def follow_person(
         raise ValueError(f"person {person} has no frame with a usable hull")
     window = [i for i in usable if frames[i] - frames[usable[0]] <= 2 * tools.fps]
     picks = np.unique(np.linspace(0, len(window) - 1, tools.pose.n_start_frames).astype(int))
-    hypotheses: list[FirstPose] = []
+    searches = []
     for i in (window[p] for p in picks):
         frame = int(frames[i])
         hull = hull_of(frame)
         if hull is not None:
-            rng = rng_for(seed, "first-pose", person, frame)
-            found = find_first_poses(tools, hull, frame, _walking(frames, xyz, i, tools.fps), rng=rng)
-            if not hypotheses or found[0].log_likelihood > hypotheses[0].log_likelihood:
-                hypotheses = found
+            search = PoseSearch(tools, hull, frame, _walking(frames, xyz, i, tools.fps))
+            tried = try_first_poses(search, rng=rng_for(seed, "first-pose", person, frame))
+            searches.append((search, tried))
+    search, tried = max(searches, key=lambda entry: entry[1][0].log_likelihood)
+    hypotheses = settle_first_poses(search, tried, rng=rng_for(seed, "settle", person, search.frame))
     best, trial = choose_hypothesis(tools, person, frames, xyz, hull_of, hypotheses, seed=seed)
     start = int(np.searchsorted(frames, best.frame))
 
