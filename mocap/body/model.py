@@ -112,6 +112,7 @@ class Body:
     max_speed : (D,) largest expected speed per column, m/s or rad/s.
     landmark_joint : (15,), landmark_offset : (15, 3) m in the joint's frame.
     variance : (P, 4) factors of CF Table 6.2.
+    Source: CF Eq. 6.2.
     """
 
     name: str

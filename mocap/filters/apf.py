@@ -123,7 +123,7 @@ def sir_step(
     """One frame of the plain particle filter: resample, propagate, weigh with the likelihood itself.
 
     `n_layers` of the settings multiplies the particles, so that both filters spend equal evaluations.
-    Source: CF Alg. 1.
+    Source: CF Alg. 1, Eq. 3.9, 3.12, 3.16.
     """
     n = settings.n_particles * settings.n_layers
     ancestors = RESAMPLING[settings.resampling](state.weights, n, rng=rng)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data.problem import ArticulatedProblem, StateLayout
-from mocap.filters.annealing import annealed, layer_scales, next_beta
+from mocap.filters.annealing import layer_scales, next_beta
 from mocap.filters.resampling import systematic
 from mocap.filters.weights import normalise_log_weights
 
 Array = NDArray[np.float64]
+Bonus = Callable[[Array, list[int]], Array]
 
 
 @dataclass(frozen=True)
@@ -50,45 +52,68 @@ def limbs_of(layout: StateLayout) -> list[list[int]]:
 
 
 def scout_limbs(
-    problem: ArticulatedProblem, state: Array, settings: ScoutSettings, *, rng: np.random.Generator
+    problem: ArticulatedProblem,
+    state: Array,
+    settings: ScoutSettings,
+    *,
+    rng: np.random.Generator,
+    bonus: Bonus | None = None,
 ) -> tuple[Array, ScoutInfo]:
     """Search anew for the limbs of a state (D,) that fit badly; returns the state, improved or unchanged.
 
-    A global likelihood (one column) says nothing about limbs: the state comes back unchanged.
+    bonus : (particles (N, D), parts of the limb) -> (N,) nats, evidence for a limb beyond the likelihood, such as
+    data that nothing explains yet; 0 for the given state. With a bonus every limb is looked at, and those that
+    gain most at first sight are followed. A global likelihood (one column) says nothing about limbs: the state
+    comes back unchanged.
     Source: the scout filters of CF 7.4 (DDMA-PF), here as a means of recovery inside any filter.
     """
     layout = problem.layout
     per_part = problem.log_likelihood(state[None])[0]
     if per_part.shape[0] != layout.n_parts:
         return state, ScoutInfo((), ())
-    limbs = limbs_of(layout)
-    worst = sorted(limbs, key=lambda limb: float(per_part[limb].min()))[: settings.max_limbs]
-    tried, accepted = [], []
-    best, best_value = state, float(per_part.sum())
-    for limb in worst:
-        if per_part[limb].min() >= settings.threshold:
-            break
-        columns = np.flatnonzero(np.isin(layout.part_of_column, limb))
-        columns = columns[np.isfinite(layout.lower[columns]) & np.isfinite(layout.upper[columns])]
-        if len(columns) == 0:
-            continue
-        name = layout.parts[limb[0]]
-        tried.append(name)
-        particles = np.tile(best, (settings.n_samples, 1))
+    limbs = [limb for limb in limbs_of(layout) if len(_bounded_columns(layout, limb))]
+    if bonus is None:
+        limbs = [limb for limb in limbs if per_part[limb].min() < settings.threshold]
+    start_value = float(per_part.sum())
+
+    def value_of(particles: Array, limb: list[int]) -> Array:
+        value = problem.log_likelihood(particles).sum(axis=1)
+        return value if bonus is None else value + bonus(particles, limb)
+
+    screened = []
+    for limb in limbs:
+        columns = _bounded_columns(layout, limb)
+        particles = np.tile(state, (settings.n_samples, 1))
         low, high = layout.lower[columns], layout.upper[columns]
         particles[:, columns] = low + rng.random((settings.n_samples, len(columns))) * (high - low)
-        value = problem.log_likelihood(particles).sum(axis=1)
-        candidate, reached = particles[value.argmax()], float(value.max())
+        value = value_of(particles, limb)
+        screened.append((float(value.max()), limb, particles, value))
+    screened.sort(key=lambda entry: -entry[0])
+
+    tried, accepted = [], []
+    best, best_value = state, start_value
+    for _, limb, particles, value in screened[: settings.max_limbs]:
+        name = layout.parts[limb[0]]
+        tried.append(name)
+        columns = _bounded_columns(layout, limb)
+        # What an earlier limb has found holds for this one too.
+        particles = np.where(np.isin(np.arange(layout.n_columns), columns), particles, best)
+        candidate, reached = particles[value.argmax()], float(value.max()) if best is state else -np.inf
         std = np.zeros(layout.n_columns)
         for scale in layer_scales(settings.n_layers, 0.5):
-            weights, _ = normalise_log_weights(annealed(value, next_beta(value, 0.3)))
+            weights, _ = normalise_log_weights(next_beta(value, 0.3) * value)
             std[columns] = settings.std_rad * scale
             particles = particles[systematic(weights, settings.n_particles, rng=rng)]
             particles = problem.propagate(particles, std, rng=rng)
-            value = problem.log_likelihood(particles).sum(axis=1)
+            value = value_of(particles, limb)
             if value.max() > reached:
                 candidate, reached = particles[value.argmax()], float(value.max())
         if reached > best_value + settings.margin:
             best, best_value = candidate.copy(), reached
             accepted.append(name)
     return best, ScoutInfo(tuple(tried), tuple(accepted))
+
+
+def _bounded_columns(layout: StateLayout, limb: list[int]) -> NDArray[np.int64]:
+    columns = np.flatnonzero(np.isin(layout.part_of_column, limb))
+    return columns[np.isfinite(layout.lower[columns]) & np.isfinite(layout.upper[columns])]

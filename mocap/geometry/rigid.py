@@ -29,7 +29,7 @@ def matrix_from_twist(axis: Array, point: Array, angle: float) -> Array:
     """4 x 4 transform of a rotation by `angle` about the line through `point` along `axis`.
 
     axis : (3,) unit, point : (3,) m, angle rad, all in one frame. Returns (4, 4).
-    Source: CF Eq. A.5-A.8.
+    Source: CF Eq. A.5-A.9.
     """
     R = Rotation.from_rotvec(np.asarray(axis, dtype=np.float64) * angle).as_matrix()
     T = np.eye(4)

@@ -422,7 +422,7 @@ def _choose_frames(
     if stop is None:
         _check_cut_off(clips, shortest)
         if longest > shortest:
-            # One lost frame shifts the rest of a clip, so that nobody but the user can say which frames belong together.
+            # One lost frame shifts the rest of a clip: only the user can say which frames belong together.
             listed = ", ".join(f"{n}: {c}" for n, c in counts.items())
             raise MocapError(
                 f"the clips have different numbers of frames ({listed}); were they started together?",

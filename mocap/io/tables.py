@@ -53,10 +53,10 @@ def read_tracks_csv(path: Path | str) -> Tracks:
 def write_landmarks_csv(path: Path | str, motions: Sequence[Motion]) -> None:
     """Write the landmarks of all persons, rows by frame, person and order of LANDMARKS, atomically.
 
-    The columns std_*_m and observed are left out when no motion has either (a truth); NaN is written as `nan`,
-    a missing `observed` as an empty field.
+    The columns std_*_m and observed are left out when there are motions and none has either (a truth); NaN is
+    written as `nan`, a missing `observed` as an empty field.
     """
-    has_more = any(m.std is not None or m.observed is not None for m in motions)
+    has_more = not motions or any(m.std is not None or m.observed is not None for m in motions)
     order = sorted((int(f), m.person, k, i) for k, m in enumerate(motions) for i, f in enumerate(m.frames))
     buffer = io.StringIO()
     columns = LANDMARK_COLUMNS + (UNCERTAINTY_COLUMNS if has_more else ())

@@ -261,3 +261,113 @@ def surface_normals(voxels, is_surface, crop, lower, ny, nz, radius, normals):
             normals[m, 1] = sy / length
             normals[m, 2] = sz / length
         m += 1
+
+
+@njit(cache=True, nogil=True)
+def self_penetration(
+    points,
+    point_joint,
+    may_meet,
+    start,
+    end,
+    radii,
+    cone_joint,
+    cone_part,
+    t,
+    axes,
+    dof_joint,
+    dof_column,
+    moves,
+    gain,
+    H,
+    g,
+):
+    """Push flesh points out of the cones of other parts; returns the cost.
+
+    may_meet : (M, P) bool, parts that a point is tested against. The derivative is that of the relative movement
+    of the two parts.
+    """
+    n_dofs = dof_joint.shape[0]
+    values = np.empty(n_dofs)
+    used = np.empty(n_dofs, np.int64)
+    n = np.empty(3)
+    cost = 0.0
+    for i in range(points.shape[0]):
+        deepest = 0.0
+        other = -1
+        for k in range(start.shape[0]):
+            if not may_meet[i, cone_part[k]]:
+                continue
+            ax = end[k, 0] - start[k, 0]
+            ay = end[k, 1] - start[k, 1]
+            az = end[k, 2] - start[k, 2]
+            px = points[i, 0] - start[k, 0]
+            py = points[i, 1] - start[k, 1]
+            pz = points[i, 2] - start[k, 2]
+            s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
+            s = min(max(s, 0.0), 1.0)
+            dx = px - s * ax
+            dy = py - s * ay
+            dz = pz - s * az
+            radius = radii[k, 0] + s * (radii[k, 1] - radii[k, 0])
+            square = dx * dx + dy * dy + dz * dz
+            if square >= radius * radius:
+                continue
+            length = math.sqrt(square)
+            depth = radius - length
+            if depth > deepest and length > 1e-6:
+                deepest = depth
+                other = k
+                n[0] = -dx / length
+                n[1] = -dy / length
+                n[2] = -dz / length
+        if other < 0:
+            continue
+        cost += 0.5 * gain * deepest * deepest
+        ja = point_joint[i]
+        jb = cone_joint[other]
+        m = 0
+        for d in range(n_dofs):
+            # A rotation that moves both parts leaves their distance as it is.
+            if moves[ja, d] == moves[jb, d]:
+                continue
+            q = t[dof_joint[d]]
+            rx = points[i, 0] - q[0]
+            ry = points[i, 1] - q[1]
+            rz = points[i, 2] - q[2]
+            v = (
+                n[0] * (axes[d, 1] * rz - axes[d, 2] * ry)
+                + n[1] * (axes[d, 2] * rx - axes[d, 0] * rz)
+                + n[2] * (axes[d, 0] * ry - axes[d, 1] * rx)
+            )
+            values[m] = v if moves[ja, d] else -v
+            used[m] = dof_column[d]
+            m += 1
+        for a in range(m):
+            wa = gain * values[a]
+            g[used[a]] += wa * deepest
+            for b in range(m):
+                H[used[a], used[b]] += wa * values[b]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def distance_to_cones(points, start, end, radii, distance):
+    """Distance of each point to the nearest cone, negative inside."""
+    for i in range(points.shape[0]):
+        best = np.inf
+        for k in range(start.shape[0]):
+            ax = end[k, 0] - start[k, 0]
+            ay = end[k, 1] - start[k, 1]
+            az = end[k, 2] - start[k, 2]
+            px = points[i, 0] - start[k, 0]
+            py = points[i, 1] - start[k, 1]
+            pz = points[i, 2] - start[k, 2]
+            s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
+            s = min(max(s, 0.0), 1.0)
+            dx = px - s * ax
+            dy = py - s * ay
+            dz = pz - s * az
+            d = math.sqrt(dx * dx + dy * dy + dz * dz) - (radii[k, 0] + s * (radii[k, 1] - radii[k, 0]))
+            best = min(best, d)
+        distance[i] = best

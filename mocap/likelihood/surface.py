@@ -10,14 +10,23 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from mocap.body.flesh import LookUpTable
+from mocap.body.kinematics import cones_of, joint_transforms
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.voxels import VoxelGrid, Voxels
-from mocap.likelihood._surface_kernels import body_to_hull, chain_axes, hull_to_body, surface_normals
+from mocap.likelihood._surface_kernels import (
+    body_to_hull,
+    chain_axes,
+    distance_to_cones,
+    hull_to_body,
+    self_penetration,
+    surface_normals,
+)
 from mocap.likelihood.voxels import OCCUPIED_BIT, PackedVolume
 
 Array = NDArray[np.float64]
 
+_APART_M = 0.03
 _NORMAL_RADIUS_VOXELS = 2  # neighbourhood of the hull's normals: five voxels wide
 
 
@@ -36,6 +45,8 @@ class SurfaceFitSettings:
     """Distance that opposite normals are worth when the nearest cone is chosen."""
     flesh_gain: float = 1.0
     """Total weight of the flesh points against that of the hull points."""
+    penetration_gain: float = 1.0
+    """Total weight of flesh points inside other parts against that of the hull points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +97,8 @@ class SurfaceProblem:
     """Robust distance of a body to one frame's hull: `normal_equations(state)` for the refinement.
 
     Hull surface points pull the nearest flesh whose normal agrees; flesh points in empty voxels are pulled to the
-    nearest hull point. The hull contains the body, so its surface lies outside the flesh: half a voxel is
-    allowed for.
+    nearest hull point; flesh points inside another part are pushed out of it. The hull contains the body, so its
+    surface lies outside the flesh: half a voxel is allowed for.
     """
 
     body: Body
@@ -99,6 +110,7 @@ class SurfaceProblem:
     _normals: Array = field(init=False, repr=False)
     _flesh: Array = field(init=False, repr=False)
     _flesh_joint: NDArray[np.int64] = field(init=False, repr=False)
+    _may_meet: NDArray[np.bool_] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         every = max(1, len(self.hull.points) // self.settings.n_hull_points)
@@ -107,20 +119,28 @@ class SurfaceProblem:
             [a + np.arange(n) for a, n in zip(table.start[:-1], table.n_surface, strict=True)]
         )
         joints = np.repeat(table.joint, table.n_surface)
+        parts = np.repeat(table.part, table.n_surface)
         # A stride that is coprime to lattice rows would do; a fixed permutation is simpler and as even.
         chosen = np.sort(np.random.default_rng(0).permutation(len(rows))[: self.settings.n_flesh_points])
+        flesh, joint = table.points[rows[chosen]].astype(np.float64), joints[chosen]
         for name, value in (
+            ("_may_meet", _parts_apart_at_rest(self.body, flesh, joint, parts[chosen])),
             ("_moves", dof_moves_joint(self.body)),
             ("_points", np.ascontiguousarray(self.hull.points[::every])),
             ("_normals", np.ascontiguousarray(self.hull.normals[::every])),
-            ("_flesh", table.points[rows[chosen]].astype(np.float64)),
-            ("_flesh_joint", joints[chosen]),
+            ("_flesh", flesh),
+            ("_flesh_joint", joint),
         ):
             object.__setattr__(self, name, value)
 
     @property
     def layout(self) -> StateLayout:
         return self.body.layout
+
+    @property
+    def n_points(self) -> int:
+        """Hull points used."""
+        return len(self._points)
 
     def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
         """Robust cost, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,).
@@ -181,4 +201,47 @@ class SurfaceProblem:
                 H,
                 g,
             )
+        if settings.penetration_gain > 0:
+            cost += self_penetration(
+                flesh,
+                self._flesh_joint,
+                self._may_meet,
+                start,
+                end,
+                body.cones.radii,
+                joint,
+                body.cones.part,
+                t,
+                axes,
+                body.dof_joint,
+                body.dof_column,
+                self._moves,
+                settings.penetration_gain * len(self._points) / len(flesh),
+                H,
+                g,
+            )
         return float(cost), H, g
+
+    def unexplained(self, state: Array, distance_m: float) -> Array:
+        """Hull points further than distance_m outside the flesh of a state (D,): (U, 3) m, world."""
+        start, end = cones_of(self.body, state)
+        distance = np.empty(len(self._points))
+        distance_to_cones(self._points, start, end, self.body.cones.radii, distance)
+        return self._points[distance > distance_m]
+
+
+def _parts_apart_at_rest(
+    body: Body, flesh: Array, joint: NDArray[np.int64], part: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Parts that each flesh point is clear of in the rest pose, (M, P): neighbours at a joint touch always."""
+    R, t = joint_transforms(body, np.zeros((1, body.layout.n_columns)))
+    points = np.einsum("mrc,mc->mr", R[0, joint], flesh) + t[0, joint]
+    start, end = cones_of(body, np.zeros(body.layout.n_columns))
+    apart = np.ones((len(flesh), body.layout.n_parts), dtype=np.bool_)
+    for p in range(body.layout.n_parts):
+        rows = body.cones.part == p
+        distance = np.empty(len(points))
+        distance_to_cones(points, start[rows], end[rows], body.cones.radii[rows], distance)
+        apart[:, p] = distance > _APART_M
+    apart[np.arange(len(flesh)), part] = False
+    return apart

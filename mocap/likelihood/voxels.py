@@ -97,7 +97,7 @@ def part_scores(
 
     Double occupancy is counted on the voxels of the crop; points outside it meet nobody. States with NaN give
     every point outside the crop (occupied 0). The result does not depend on n_threads.
-    Source: CF Eq. 6.13-6.16; departs from 6.13: outside means outside the room (reading guide 10).
+    Source: CF Eq. 6.12-6.16; departs from 6.13: outside means outside the room (reading guide 10).
     """
     s = np.ascontiguousarray(states, dtype=np.float64)
     if s.ndim != 2 or s.shape[1] != body.layout.n_columns:
@@ -157,6 +157,8 @@ def part_scores_numpy(body: Body, table: LookUpTable, volume: PackedVolume, stat
     part, joint = table.part[segment], table.joint[segment]
     is_surface = np.arange(len(segment)) - table.start[segment] < table.n_surface[segment]
     x, y, z = (table.points[:, i, None] for i in range(3))
+    owner = np.zeros(volume.crop.size, dtype=part.dtype)
+    is_shared = np.zeros(volume.crop.size, dtype=np.bool_)
     for n in range(len(states)):
         a = A[n, joint]
         at = a[:, :, 0] * x + a[:, :, 1] * y + a[:, :, 2] * z + b[n, joint]
@@ -166,9 +168,12 @@ def part_scores_numpy(body: Body, table: LookUpTable, volume: PackedVolume, stat
         cell = np.floor(np.where(inside[:, None], at, 0.0)).astype(np.int64)
         linear = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
         inside &= linear > 0
-        pairs = np.unique(np.column_stack([linear[inside], part[inside]]), axis=0)
-        voxels, n_parts_in_voxel = np.unique(pairs[:, 0], return_counts=True)
-        double = inside & np.isin(linear, voxels[n_parts_in_voxel > 1])
+        # The last part to be written into a voxel owns it; whoever finds another owner there shares it.
+        owner[linear[inside]] = part[inside]
+        shared = linear[inside & (owner[linear] != part)]
+        is_shared[shared] = True
+        double = inside & is_shared[linear]
+        is_shared[shared] = False
         value = np.where(inside, flat[linear], 0)
         counts[n, :, 0] = np.bincount(part, weights=out, minlength=P)
         counts[n, :, 1] = np.bincount(part, weights=double, minlength=P)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +19,7 @@ from mocap.body import Body, cones_of, skeleton_of
 from mocap.data import Hull
 from mocap.errors import MocapError
 from mocap.io import export
+from mocap.io._files import writing
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv, write_landmarks_csv, write_tracks_csv
 from mocap.io.video import FrameReader
@@ -34,6 +37,7 @@ Image = NDArray[np.uint8]
 Progress = Callable[[str, int, int], None]
 
 _PANEL_HEIGHT_PX = 420
+_UNPUBLISHED = ".outputs.partial"
 
 OUTPUT_WORDS = {
     "run.json": "configuration, versions, seed, timings and warnings of this run",
@@ -65,25 +69,29 @@ def write_outputs(
     result: RunResult,
     store: StageStore,
     config: Config,
+    folder: Path,
     *,
     seed: int,
-    with_report: bool,
+    until: str,
     command: str,
     progress: Progress,
 ) -> None:
-    """Write the tables, and with `with_report` the exports, scene and report too. Each file is whole or absent."""
-    out, fps = result.out, result.session.fps
+    """Write into `folder` what the stages up to `until` give: tables, then exports, scene and report.
+
+    Where nobody was found the tables are empty. Each file is whole or absent.
+    """
+    fps = result.session.fps
     if result.tracks is not None:
-        write_tracks_csv(out / "tracks.csv", result.tracks)
-    if result.poses:
-        write_landmarks_csv(out / "landmarks.csv", result.motions)
-        write_pose_npz(out / "pose.npz", result.poses)
-    if not with_report:
+        write_tracks_csv(folder / "tracks.csv", result.tracks)
+    if until in ("pose", "report"):
+        write_landmarks_csv(folder / "landmarks.csv", result.motions)
+        write_pose_npz(folder / "pose.npz", result.poses)
+    if until != "report":
         return
     formats = config.output.formats
     steps: list[tuple[str, Callable[[], None]]] = []
     for poses, motion in zip(result.poses, result.motions, strict=True):
-        stem = out / f"person_{poses.person}"
+        stem = folder / f"person_{poses.person}"
         skeleton = skeleton_of(poses.body, poses.states, poses.person)
         if "bvh" in formats:
             steps.append(("bvh", partial(export.write_bvh, stem.with_suffix(".bvh"), skeleton, fps)))
@@ -94,7 +102,7 @@ def write_outputs(
         if "c3d" in formats:
             steps.append(("c3d", partial(export.write_c3d, stem.with_suffix(".c3d"), motion, fps)))
     if "rrd" in formats:
-        steps.append(("rrd", partial(write_scene, result, store)))
+        steps.append(("rrd", partial(write_scene, result, store, folder / "scene.rrd")))
     left_out = []
     for i, (name, write) in enumerate(steps):
         try:
@@ -104,16 +112,35 @@ def write_outputs(
                 raise
             left_out.append(f"{name} was left out: {error}")  # an optional extra is missing
         progress("report", i, len(steps) + 1)
-    _forget_persons(out, {p.person for p in result.poses})
     if left_out:
         object.__setattr__(result, "warnings", (*result.warnings, *dict.fromkeys(left_out)))
     if "report" in formats:
-        write_run_report(result, store, config, seed=seed, command=command)
+        write_run_report(result, store, config, folder, seed=seed, command=command)
     progress("report", len(steps) + 1, len(steps) + 1)
 
 
-def _forget_persons(out: Path, persons: set[int]) -> None:
-    """Remove exports of persons that an earlier run into the same folder found and this one did not."""
+@contextmanager
+def published(out: Path, persons: set[int] | None) -> Iterator[Path]:
+    """A hidden folder to write outputs into; they replace earlier ones in `out` together, after a clean exit.
+
+    persons : those found by a run with exports; exports of others, from an earlier run, are then removed.
+    """
+    folder = out / _UNPUBLISHED
+    try:
+        with writing(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+        yield folder
+        with writing(out):
+            for path in sorted(folder.iterdir()):
+                os.replace(path, out / path.name)
+            if persons is not None:
+                _forget_others(out, persons)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _forget_others(out: Path, persons: set[int]) -> None:
     for path in out.glob("person_*"):
         number = path.stem.removeprefix("person_")
         if number.isdigit() and int(number) not in persons and path.suffix in OUTPUT_WORDS:
@@ -124,8 +151,8 @@ def write_pose_npz(path: Path, poses: Sequence[PersonPoses]) -> None:
     """Joint angles, root and landmark covariances of every person, SI units, z up."""
     arrays: dict[str, Any] = {
         "persons": np.array([p.person for p in poses], dtype=np.int64),
-        "columns": np.array(poses[0].body.layout.names),
-        "joints": np.array(poses[0].body.joints),
+        "columns": np.array(poses[0].body.layout.names if poses else [], dtype=np.str_),
+        "joints": np.array(poses[0].body.joints if poses else [], dtype=np.str_),
     }
     for p in poses:
         prefix = f"person_{p.person}_"
@@ -160,7 +187,7 @@ def _rows_at(poses: Sequence[PersonPoses], frame: int) -> list[tuple[PersonPoses
     return rows
 
 
-def write_scene(result: RunResult, store: StageStore) -> None:
+def write_scene(result: RunResult, store: StageStore, path: Path) -> None:
     """scene.rrd: cameras, images, coloured voxels and bodies on a time line."""
     from mocap.view import SceneFrame, write_rrd
 
@@ -190,7 +217,7 @@ def write_scene(result: RunResult, store: StageStore) -> None:
                 reader.close()
 
     write_rrd(
-        result.out / "scene.rrd",
+        path,
         session.rig,
         scene_frames(),
         tracks=result.tracks,
@@ -200,7 +227,7 @@ def write_scene(result: RunResult, store: StageStore) -> None:
 
 
 def write_run_report(
-    result: RunResult, store: StageStore, config: Config, *, seed: int, command: str
+    result: RunResult, store: StageStore, config: Config, folder: Path, *, seed: int, command: str
 ) -> None:
     """report.html: what was found, pictures to judge it by, errors where truth exists, timing, settings."""
     from mocap.pipeline.run import versions
@@ -209,12 +236,10 @@ def write_run_report(
     session = result.session
     n = len(session.frames)
     outputs = []
-    for path in sorted(result.out.iterdir()):
-        words = OUTPUT_WORDS.get(path.name) or OUTPUT_WORDS.get(path.suffix)
-        if words and not path.name.startswith("."):
-            outputs.append((path.name, words))
-    if "run.json" not in {name for name, _ in outputs}:
-        outputs.insert(0, ("run.json", OUTPUT_WORDS["run.json"]))
+    for name in sorted({"run.json", store.path.name, *(p.name for p in folder.iterdir())}):
+        words = OUTPUT_WORDS.get(name) or OUTPUT_WORDS.get(Path(name).suffix)
+        if words and not name.startswith("."):
+            outputs.append((name, words))
     scores = result.scores or {}
     height = ", ".join(f"person {p.person}: {p.body.height_m:.2f} m" for p in result.poses)
     volume = result.numbers.get("carve", {})
@@ -251,7 +276,7 @@ def write_run_report(
         config_text=json.dumps(config.model_dump(mode="json"), indent=1),
         versions=versions(),
     )
-    write_report(result.out / "report.html", data)
+    write_report(folder / "report.html", data)
 
 
 def _filter_words(config: Config) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from mocap.body import (
     candidate_states,
     head_top,
     height_from_tops,
+    joint_transforms,
     landmarks_of,
     load_body_model,
     scale_body,
@@ -55,6 +56,11 @@ _SEARCH_COPIES = 8
 _FACING_NATS = 8.0  # cost of facing against the direction of walking, CF 6.3.3 takes it as a certainty
 _MOVING_M = 0.15
 _OBSERVED_OCCUPANCY = 0.5
+# Nats per square metre of mean surface cost: the lost arm of a person, a tenth of the surface, is worth about 7.
+_NATS_PER_M2 = 90_000.0
+_UNEXPLAINED_M = 0.05
+_UNEXPLAINED_SHARE = 0.025  # of the hull's surface points; loose clothes reach 0.01, a lost forearm 0.04
+_LOOK_EVERY = 3
 _BLIND_STD_M = 0.02
 _TRIAL_S = 3.0  # how far each way two starting hypotheses are compared
 _TRIAL_STRIDE = 3
@@ -138,6 +144,66 @@ class PoseTools:
             VoxelProblem(self.body, self.table, volume, self.likelihood, n_threads=self.n_threads),
             SurfaceProblem(self.body, self.table, surface, self.fit),
         )
+
+
+def evidence(problem: VoxelProblem, surface: SurfaceProblem, states: Sequence[Array]) -> Array:
+    """How well states explain the hull, (K,): the likelihood asks whether the body lies in the hull, the surface
+    whether the hull is explained by the body. In nats.
+    """
+    inside = problem.log_likelihood(np.stack(states)).sum(axis=1)
+    return inside - _surface_nats(surface, states)
+
+
+def _surface_nats(surface: SurfaceProblem, states: Sequence[Array]) -> Array:
+    """The surface cost of states in nats, (K,), whatever the number of hull points."""
+    cost = np.array([surface.normal_equations(s)[0] for s in states])
+    return _NATS_PER_M2 * cost / max(surface.n_points, 1)
+
+
+def recover_limbs(
+    tools: PoseTools,
+    problem: VoxelProblem,
+    surface: SurfaceProblem,
+    state: Array,
+    *,
+    look_at_hull: bool,
+    max_limbs: int,
+    rng: np.random.Generator,
+) -> Array:
+    """A state (D,) with limbs searched for anew that fit badly or leave a piece of the hull unexplained.
+
+    look_at_hull : also search when much of the hull's surface is unexplained though every limb fits. The state comes
+    back unchanged unless the evidence grows.
+    """
+    settings = ScoutSettings(max_limbs=max_limbs)
+    lost = surface.unexplained(state, _UNEXPLAINED_M)
+    bonus = None
+    if look_at_hull and len(lost) > _UNEXPLAINED_SHARE * surface.n_points:
+        bonus = partial(_explained_nats, tools.body, lost, len(lost) / surface.n_points)
+    found, scouted = scout_limbs(problem, state, settings, rng=rng, bonus=bonus)
+    if not scouted.accepted:
+        return state
+    refined, _ = refine(surface, found, tools.refine_settings())
+    candidates = [state, found, refined]
+    return candidates[int(evidence(problem, surface, candidates).argmax())]
+
+
+def _explained_nats(body: Body, lost: Array, lost_share: float, particles: Array, limb: list[int]) -> Array:
+    """Evidence of the lost hull points (U, 3) that a limb of each particle would explain, (N,)."""
+    some = lost[:: max(1, len(lost) // 50)]
+    rows = np.flatnonzero(np.isin(body.cones.part, limb))
+    R, t = joint_transforms(body, particles)
+    joint = body.cones.joint[rows]
+    start = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.start[rows]) + t[:, joint]
+    axis = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.end[rows] - body.cones.start[rows])
+    offset = some[None, None] - start[:, :, None]
+    along = np.einsum("nkuc,nkc->nku", offset, axis) / np.maximum((axis**2).sum(axis=2), 1e-12)[:, :, None]
+    foot = np.clip(along, 0.0, 1.0)[..., None] * axis[:, :, None]
+    reach = body.cones.radii[rows].mean(axis=1) + _UNEXPLAINED_M
+    near = (((offset - foot) ** 2).sum(axis=3) < (reach**2)[None, :, None]).any(axis=1)
+    # A lost point costs the surface term its robust limit, scale^2 / 2.
+    per_share = _NATS_PER_M2 * 0.5 * SurfaceFitSettings().scale_m ** 2
+    return per_share * lost_share * near.mean(axis=1)
 
 
 def likelihood_settings(config: LikelihoodConfig) -> VoxelLikelihoodSettings:
@@ -227,9 +293,12 @@ class PoseSearch:
         refining = self.tools.refine_settings(5 if is_brief else 12)
         found = [info.estimate, refine(surface, info.estimate, refining)[0]]
         if not is_brief:
-            scouted, _ = scout_limbs(problem, found[1], ScoutSettings(max_limbs=4), rng=rng)
-            found += [scouted, refine(surface, scouted, refining)[0]]
+            recovered = recover_limbs(
+                self.tools, problem, surface, found[1], look_at_hull=True, max_limbs=4, rng=rng
+            )
+            found.append(recovered)
         values = self.score(np.stack(found))
+        values -= _surface_nats(surface, found)
         top = int(values.argmax())
         return FirstPose(self.frame, found[top], label, float(values[top]))
 
@@ -304,6 +373,7 @@ class FramePose:
     landmark_covariance: Array
     observed: NDArray[np.bool_]
     log_likelihood: float
+    evidence: float
     ess_share: float
 
 
@@ -349,6 +419,7 @@ def filter_frames(
                 ),
                 observed=np.zeros(len(LANDMARKS), dtype=np.bool_),
                 log_likelihood=float("nan"),
+                evidence=float("nan"),
                 ess_share=float("nan"),
             )
             continue
@@ -366,11 +437,19 @@ def filter_frames(
         spread = _landmark_covariance(tools.body, particles, info.estimate)
         estimate = info.estimate
         if tools.pose.refine:
-            estimate, _ = refine(surface, info.estimate, tools.refine_settings())
+            refined, _ = refine(surface, info.estimate, tools.refine_settings())
+            candidates = [info.estimate, refined]
+            estimate = candidates[int(evidence(problem, surface, candidates).argmax())]
         if tools.pose.scouts:
-            found, scouted = scout_limbs(problem, estimate, ScoutSettings(), rng=rng)
-            if scouted.accepted:
-                estimate, _ = refine(surface, found, tools.refine_settings())
+            estimate = recover_limbs(
+                tools,
+                problem,
+                surface,
+                estimate,
+                look_at_hull=int(frames[i]) % _LOOK_EVERY == 0,
+                max_limbs=2,
+                rng=rng,
+            )
         if tools.pose.refine or tools.pose.scouts:
             particles = _feed_back(particles, estimate, tools.pose.feedback_share)
         scores = part_scores(tools.body, tools.table, problem.volume, estimate[None])
@@ -381,6 +460,7 @@ def filter_frames(
             landmark_covariance=spread + (0.5 * tools.grid.voxel_size_m) ** 2 * np.eye(3),
             observed=_observed_landmarks(tools.body, scores.occupied[0]),
             log_likelihood=float(problem.log_likelihood(estimate[None]).sum()),
+            evidence=float(evidence(problem, surface, [estimate])[0]),
             ess_share=float(info.ess[-1]) / settings.n_particles,
         )
 
@@ -414,7 +494,7 @@ def choose_hypothesis(
         later = range(start, min(len(frames), start + reach), _TRIAL_STRIDE)
         earlier = range(start, max(-1, start - reach), -_TRIAL_STRIDE)
         reached = [
-            pose.log_likelihood
+            pose.evidence
             for order in (later, earlier)
             for pose in filter_frames(
                 quick, person, frames, xyz, hull_of, order, hypothesis.state, seed=seed, stage="trial"

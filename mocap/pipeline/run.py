@@ -85,7 +85,7 @@ def run_session(
     code are the same; otherwise everything is computed anew.  frames : (start, stop).  n_threads : None = up to
     2; the result does not depend on it.  progress : called as progress(stage, done, total).
     Raises MocapError for bad input, before anything in `out` is touched where possible; finished stage products
-    and earlier outputs are never damaged.
+    are never damaged, and tables, exports and report replace earlier ones together, when all are written.
     """
     if until not in STAGES:
         raise ValueError(f"until must be one of {', '.join(STAGES)}, got {until!r}")
@@ -177,7 +177,7 @@ def run_session(
             }
         }
 
-    from mocap.pipeline.outputs import write_outputs
+    from mocap.pipeline.outputs import published, write_outputs
     from mocap.pipeline.scoring import score_run
 
     result = RunResult(
@@ -195,11 +195,10 @@ def run_session(
     scores = score_run(result, store) if session.truth_dir is not None and last >= 3 else None
     result = RunResult(**{**vars(result), "scores": scores})
     started = time.perf_counter()
-    write_outputs(
-        result, store, config, seed=seed, with_report=until == "report", command=command, progress=tick
-    )
-    timings["report"] = time.perf_counter() - started
-    write_run_json(result, config, keys, seed=seed, command=command)
+    with published(out, {p.person for p in poses} if until == "report" else None) as folder:
+        write_outputs(result, store, config, folder, seed=seed, until=until, command=command, progress=tick)
+        timings["report"] = time.perf_counter() - started
+        write_run_json(result, config, keys, folder, seed=seed, command=command)
     return result
 
 
@@ -277,7 +276,7 @@ def _check_writable(out: Path) -> None:
 
 
 def write_run_json(
-    result: RunResult, config: Config, keys: dict[str, str], *, seed: int, command: str
+    result: RunResult, config: Config, keys: dict[str, str], folder: Path, *, seed: int, command: str
 ) -> None:
     """run.json: what was run, with what, how fast, and what it warns of."""
     n_frames = len(result.session.frames)
@@ -309,7 +308,7 @@ def write_run_json(
         "scores": result.scores,
         "versions": versions(),
     }
-    write_text(result.out / "run.json", json.dumps(about, indent=1) + "\n")
+    write_text(folder / "run.json", json.dumps(about, indent=1) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:
