@@ -27,6 +27,8 @@ class ScoutSettings:
     """The body's log-likelihood must rise by this much, or the old pose stays."""
     n_samples: int = 300
     """Poses of the limb drawn over its whole range."""
+    oversampling: int = 6
+    """Draws per sample when a bonus picks among them."""
     n_layers: int = 4
     n_particles: int = 100
     std_rad: float = 0.5
@@ -83,9 +85,13 @@ def scout_limbs(
     screened = []
     for limb in limbs:
         columns = _bounded_columns(layout, limb)
-        particles = np.tile(state, (settings.n_samples, 1))
+        n_drawn = settings.n_samples * (settings.oversampling if bonus is not None else 1)
+        particles = np.tile(state, (n_drawn, 1))
         low, high = layout.lower[columns], layout.upper[columns]
-        particles[:, columns] = low + rng.random((settings.n_samples, len(columns))) * (high - low)
+        particles[:, columns] = low + rng.random((n_drawn, len(columns))) * (high - low)
+        if bonus is not None:
+            # The bonus is far cheaper than the likelihood: it picks the draws that are worth one.
+            particles = particles[np.argsort(-bonus(particles, limb), kind="stable")[: settings.n_samples]]
         value = value_of(particles, limb)
         screened.append((float(value.max()), limb, particles, value))
     screened.sort(key=lambda entry: -entry[0])

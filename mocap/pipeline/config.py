@@ -155,9 +155,9 @@ def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Conf
         path = Path(preset)
         try:
             text = path.read_text("utf-8")
-        except OSError as error:
+        except (OSError, UnicodeDecodeError) as error:
             raise MocapError(
-                f"no preset or configuration file named {preset!r}",
+                f"no readable preset or configuration file named {preset!r}",
                 remedy=f"use one of {', '.join(presets())} or the path of a TOML file",
             ) from error
     try:

@@ -54,13 +54,14 @@ _SEARCH_STD_M = 0.06
 _SEARCH_STD_RAD = 0.2
 _SEARCH_COPIES = 8
 _FACING_NATS = 8.0  # cost of facing against the direction of walking, CF 6.3.3 takes it as a certainty
-_MOVING_M = 0.15
+_WALKING_M_S = 0.3
 _OBSERVED_OCCUPANCY = 0.5
 # Nats per square metre of mean surface cost: the lost arm of a person, a tenth of the surface, is worth about 7.
 _NATS_PER_M2 = 90_000.0
 _UNEXPLAINED_M = 0.05
 _UNEXPLAINED_SHARE = 0.025  # of the hull's surface points; loose clothes reach 0.01, a lost forearm 0.04
 _LOOK_EVERY = 3
+_SCOUT_ZEAL = 4.0
 _BLIND_STD_M = 0.02
 _TRIAL_S = 3.0  # how far each way two starting hypotheses are compared
 _TRIAL_STRIDE = 3
@@ -190,7 +191,7 @@ def recover_limbs(
 
 def _explained_nats(body: Body, lost: Array, lost_share: float, particles: Array, limb: list[int]) -> Array:
     """Evidence of the lost hull points (U, 3) that a limb of each particle would explain, (N,)."""
-    some = lost[:: max(1, len(lost) // 50)]
+    some = lost[:: max(1, len(lost) // 24)]
     rows = np.flatnonzero(np.isin(body.cones.part, limb))
     R, t = joint_transforms(body, particles)
     joint = body.cones.joint[rows]
@@ -201,8 +202,9 @@ def _explained_nats(body: Body, lost: Array, lost_share: float, particles: Array
     foot = np.clip(along, 0.0, 1.0)[..., None] * axis[:, :, None]
     reach = body.cones.radii[rows].mean(axis=1) + _UNEXPLAINED_M
     near = (((offset - foot) ** 2).sum(axis=3) < (reach**2)[None, :, None]).any(axis=1)
-    # A lost point costs the surface term its robust limit, scale^2 / 2.
-    per_share = _NATS_PER_M2 * 0.5 * SurfaceFitSettings().scale_m ** 2
+    # A lost point costs the surface term its robust limit, scale^2 / 2. The search overstates it: what it finds is
+    # judged by the evidence itself.
+    per_share = _SCOUT_ZEAL * _NATS_PER_M2 * 0.5 * SurfaceFitSettings().scale_m ** 2
     return per_share * lost_share * near.mean(axis=1)
 
 
@@ -242,8 +244,8 @@ class FirstPose:
 class PoseSearch:
     """The search for a first pose in one frame: what it is judged by.
 
-    walking_xy : (2,) displacement of the person around this frame, m, or None; when the person walks, facing the
-    other way costs likelihood.
+    walking_xy : (2,) velocity of the person around this frame, m/s, or None; when the person walks, facing the other
+    way costs likelihood.
     """
 
     tools: PoseTools
@@ -258,7 +260,7 @@ class PoseSearch:
     @property
     def heading(self) -> float | None:
         """Direction of walking, rad, or None for a person who stays."""
-        if self.walking_xy is None or float(np.hypot(*self.walking_xy)) <= _MOVING_M:
+        if self.walking_xy is None or float(np.hypot(*self.walking_xy)) <= _WALKING_M_S:
             return None
         return float(np.arctan2(self.walking_xy[1], self.walking_xy[0]))
 
@@ -355,12 +357,12 @@ def _yaw_column(body: Body) -> int | None:
 
 
 def _walking(frames: NDArray[np.int64], xyz: Array, i: int, fps: float) -> Array | None:
-    """Displacement on the floor over half a second around row i, (2,) m."""
+    """Mean velocity on the floor over about half a second around row i, (2,) m/s."""
     reach = max(1, round(0.25 * fps))
     a, b = max(0, i - reach), min(len(frames) - 1, i + reach)
     if a == b:
         return None
-    return xyz[b, :2] - xyz[a, :2]
+    return (xyz[b, :2] - xyz[a, :2]) * fps / float(frames[b] - frames[a])
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,7 +449,7 @@ def filter_frames(
                 surface,
                 estimate,
                 look_at_hull=int(frames[i]) % _LOOK_EVERY == 0,
-                max_limbs=2,
+                max_limbs=3,
                 rng=rng,
             )
         if tools.pose.refine or tools.pose.scouts:
@@ -461,7 +463,7 @@ def filter_frames(
             observed=_observed_landmarks(tools.body, scores.occupied[0]),
             log_likelihood=float(problem.log_likelihood(estimate[None]).sum()),
             evidence=float(evidence(problem, surface, [estimate])[0]),
-            ess_share=float(info.ess[-1]) / settings.n_particles,
+            ess_share=float(info.ess[-1]) / len(particles.weights),
         )
 
 

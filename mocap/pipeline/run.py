@@ -265,8 +265,10 @@ def _check_writable(out: Path) -> None:
     probe = out / ".mocap-write-test"
     try:
         out.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"x")
-        probe.unlink()
+        try:
+            probe.write_bytes(b"x")
+        finally:
+            probe.unlink(missing_ok=True)
     except OSError as error:
         raise MocapError(
             f"the output folder cannot be written: {error.strerror or error}",

@@ -79,11 +79,13 @@ def write_rrd(
     count = n_frames or length_hint(frames, 0) or _DEFAULT_FRAMES
     lenses = {camera.name: _Lens.of(camera, image_width) for camera in rig}
     budget = _Budget(max_bytes, count)
+    # At most max_bytes are collected in memory and written by us: rerun's own file sink waits for ever when the disk
+    # is full.
+    stream = rr.RecordingStream("mocap", recording_id=target.stem, send_properties=False)
+    sink = stream.binary_stream()
+    stream.send_blueprint(_blueprint(rig), make_active=False, make_default=True)
     try:
-        # rerun reports an unwritable file late and in its own words, so the file is tried first
-        part.write_bytes(b"")
-        stream = rr.RecordingStream("mocap", recording_id=target.stem, send_properties=False)
-        stream.save(part, default_blueprint=_blueprint(rig))
+        part.write_bytes(b"")  # an unwritable folder is noticed before the work
         try:
             _log_static(rr, stream, rig, lenses, tracks, bounds_m)
             shown: set[int] = set()
@@ -94,8 +96,8 @@ def write_rrd(
                 budget.spend_on_persons(len(item.persons))
                 _log_hull(rr, stream, item.hull, budget)
                 _log_images(rr, stream, item, lenses, budget)
+            part.write_bytes(sink.read() or b"")
         finally:
-            stream.flush()
             stream.disconnect()
         os.replace(part, target)
     except OSError as error:

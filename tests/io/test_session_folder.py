@@ -73,6 +73,8 @@ def test_range_outside_the_clips(make_session: MakeSession, frames: tuple[int | 
         ('calibration_units = "inch"', "calibration_units"),
         ('calibration_up = "up"', "calibration_up"),
         ("checkerboard = [8]", "checkerboard"),
+        ("cameras = []", "cameras"),
+        ('cameras = "cam_2"', "cameras"),
         ("camera_map = 3", "camera_map"),
         ("[camera_map]\na = 3", "camera_map.a"),
         ('[camera_map]\na = "x"\nb = "x"', "more than one file"),
@@ -87,10 +89,28 @@ def test_bad_settings_name_the_key(tmp_path: Path, text: str, key: str) -> None:
     assert caught.value.path == tmp_path / "session.toml"
 
 
-def test_calibrated_camera_without_video_is_left_out_with_a_warning(make_session: MakeSession) -> None:
-    session = open_session(make_session(12, skip=("cam_10",)))
-    assert session.rig.names == ("back", "cam_2")
-    assert any("cam_10" in w and "left out" in w for w in session.warnings)
+def test_calibrated_camera_without_video(make_session: MakeSession) -> None:
+    root = make_session(12, skip=("cam_10",))
+    with pytest.raises(MocapError, match="cam_10 is calibrated but has no video") as caught:
+        open_session(root)
+    assert caught.value.camera == "cam_10"
+    assert 'cameras = ["back", "cam_2"]' in caught.value.remedy
+    (root / "session.toml").write_text('cameras = ["cam_2", "back"]\n')
+    assert open_session(root).rig.names == ("back", "cam_2")
+
+
+def test_cameras_by_choice(make_session: MakeSession) -> None:
+    root = make_session(12)
+    (root / "session.toml").write_text('cameras = ["cam_2", "cam_10"]\n')
+    session = open_session(root)
+    assert session.rig.names == tuple(session.image_sources) == ("cam_10", "cam_2")
+    (root / "session.toml").write_text('cameras = ["cam_2", "cam_3"]\n')
+    with pytest.raises(MocapError, match="cameras names cam_3"):
+        open_session(root)
+    (root / "session.toml").write_text('cameras = ["cam_2"]\n')
+    (root / "videos" / "cam_2.mp4").unlink()
+    with pytest.raises(MocapError, match="no pictures and no masks of camera cam_2"):
+        open_session(root)
 
 
 def test_one_camera_is_not_enough(make_session: MakeSession) -> None:
@@ -146,19 +166,16 @@ def test_nothing_to_open(tmp_path: Path, rig: CameraRig) -> None:
         open_session(tmp_path)
 
 
-def test_few_frames_more_or_less(make_session: MakeSession) -> None:
-    session = open_session(make_session(12, counts={"cam_10": 15}))
-    assert session.frames == range(12)
-    assert any("cam_10: 15" in w for w in session.warnings)
-
-
-def test_many_frames_more_or_less(make_session: MakeSession) -> None:
-    root = make_session(12, counts={"cam_10": 30})
+@pytest.mark.parametrize("n", [11, 13, 30])
+def test_clips_of_different_length(make_session: MakeSession, n: int) -> None:
+    root = make_session(12, counts={"cam_10": n})
     with pytest.raises(MocapError, match="different numbers of frames") as caught:
         open_session(root)
-    assert "back: 12, cam_10: 30, cam_2: 12" in str(caught.value)
-    assert "--frames 0:12" in caught.value.remedy
-    assert open_session(root, frames=(0, 12)).frames == range(12)
+    assert f"back: 12, cam_10: {n}, cam_2: 12" in str(caught.value)
+    assert caught.value.camera == ("cam_10" if n < 12 else "back")
+    common = min(n, 12)
+    assert f"--frames 0:{common}" in caught.value.remedy
+    assert open_session(root, frames=(0, common)).frames == range(common)
 
 
 def test_size_differs_from_calibration(make_session: MakeSession) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +12,8 @@ import numpy as np
 from mocap.data import LANDMARKS, Motion
 from mocap.errors import MocapError
 from mocap.io.export._common import check_fps, gap_free, replacing
+
+_BLOCK_BYTES = 512  # C3D files are made of blocks
 
 
 def write_c3d(path: Path, motion: Motion, fps: float) -> None:
@@ -60,3 +65,16 @@ def write_c3d(path: Path, motion: Motion, fps: float) -> None:
                 remedy="check that the folder is writable and has space left",
                 path=path,
             ) from error
+        # ezc3d says nothing when the disk is full; what it could not write is missing at the end.
+        if temporary.stat().st_size < _bytes_needed(temporary, points.shape[2] * points.shape[1]):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _bytes_needed(path: Path, n_points: int) -> int:
+    """Size of a whole file of so many points (x, y, z, residual as float32) by the header it begins with."""
+    with path.open("rb") as file:
+        header = file.read(_BLOCK_BYTES)
+    if len(header) < _BLOCK_BYTES:
+        return _BLOCK_BYTES
+    (first_block,) = struct.unpack_from("<H", header, 16)
+    return (int(first_block) - 1) * _BLOCK_BYTES + n_points * 16

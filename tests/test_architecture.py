@@ -1,0 +1,225 @@
+"""The arrows of the house and its bans, read from the source: who may import whom, and what nobody may write."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+STAGES = ("foreground", "volume", "tracking", "body", "likelihood", "filters", "metrics")
+# Package of mocap -> packages of mocap that it may import besides itself and `errors`.
+ARROWS: dict[str, frozenset[str]] = {
+    "errors": frozenset(),
+    "geometry": frozenset(),
+    "data": frozenset({"geometry"}),
+    **{stage: frozenset({"data", "geometry"}) for stage in STAGES},
+    "likelihood": frozenset({"data", "geometry", "body"}),
+    "io": frozenset({"data", "geometry"}),
+    "view": frozenset({"data", "geometry"}),
+    "pipeline": frozenset({"data", "geometry", "io", "view", *STAGES}),
+    "cli": frozenset({"data", "geometry", "io", "view", "pipeline", *STAGES}),
+    "__main__": frozenset({"cli"}),
+    "": frozenset(),  # mocap/__init__.py
+}
+# Modules outside mocap that only some of its packages may import, at any depth.
+ONLY_IN: dict[str, frozenset[str]] = {
+    "data_synth": frozenset({"cli"}),
+    "eval": frozenset(),
+    "configs": frozenset({"pipeline"}),
+    "tests": frozenset(),
+    "pickle": frozenset(),
+    "shelve": frozenset(),
+    "typer": frozenset({"cli", "__main__"}),
+}
+# Slow to import or optional: only inside functions, so that `mocap --help` answers at once.
+LAZY = frozenset(
+    {
+        "matplotlib",
+        "rerun",
+        "ezc3d",
+        "zarr",
+        "embreex",
+        "open3d",
+        "trimesh",
+        "data_synth",
+        "motmetrics",
+        "dask",
+    }
+)
+
+
+@dataclass(frozen=True)
+class Import:
+    """module : dotted name.  is_lazy : inside a function or under TYPE_CHECKING."""
+
+    module: str
+    line: int
+    is_lazy: bool
+
+
+def imports_of(tree: ast.Module, package: str) -> Iterator[Import]:
+    """Every import of a module; `package` (dotted) resolves relative ones."""
+
+    def walk(node: ast.AST, is_lazy: bool) -> Iterator[Import]:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.Import):
+                for alias in child.names:
+                    yield Import(alias.name, child.lineno, is_lazy)
+            elif isinstance(child, ast.ImportFrom):
+                base = child.module or ""
+                if child.level:
+                    parents = package.split(".")[: len(package.split(".")) - child.level + 1]
+                    base = ".".join([*parents, base] if base else parents)
+                for alias in child.names:
+                    yield Import(f"{base}.{alias.name}", child.lineno, is_lazy)
+            elif isinstance(child, ast.Call) and _is_dynamic_import(child):
+                yield Import(ast.literal_eval(child.args[0]), child.lineno, is_lazy)
+            inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) or (
+                isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test)
+            )
+            yield from walk(child, is_lazy or inside)
+
+    yield from walk(tree, False)
+
+
+def _is_dynamic_import(call: ast.Call) -> bool:
+    name = ast.unparse(call.func)
+    return (
+        name in ("importlib.import_module", "import_module", "__import__")
+        and bool(call.args)
+        and isinstance(call.args[0], ast.Constant)
+    )
+
+
+def package_of(path: Path, root: Path = ROOT) -> str:
+    """The first level below mocap/ that a file belongs to: `likelihood`, `cli`, or "" for mocap/__init__.py."""
+    parts = path.relative_to(root / "mocap").with_suffix("").parts
+    return "" if parts == ("__init__",) else parts[0]
+
+
+def violations(path: Path, text: str, root: Path = ROOT) -> list[str]:
+    """What is wrong with one file of mocap, one line each."""
+    own = package_of(path, root)
+    dotted = ".".join(path.relative_to(root).parent.parts)
+    tree = ast.parse(text)
+    where = path.relative_to(root).as_posix()
+    found = []
+    if own not in ARROWS:
+        found.append(f"{where}: package {own!r} has no place in the house; add it to ARROWS on purpose")
+        return found
+    for item in imports_of(tree, dotted):
+        top, *rest = item.module.split(".")
+        at = f"{where}:{item.line}"
+        if top == "mocap" and rest and rest[0] in ARROWS:
+            other = rest[0]
+            if other not in (own, "errors") and other not in ARROWS[own]:
+                found.append(f"{at}: {own or 'mocap'} must not import {other}")
+            if item.module.startswith("mocap.pipeline.config") and own not in ("pipeline", "cli"):
+                found.append(f"{at}: only the pipeline and the command line know the configuration")
+        if top in ONLY_IN and own not in ONLY_IN[top]:
+            found.append(f"{at}: {own} must not import {top}")
+        if top in LAZY and not item.is_lazy:
+            found.append(f"{at}: import {top} inside the function that needs it")
+        if top == "numba" and not path.stem.endswith("_kernels"):
+            found.append(f"{at}: numba belongs into a _kernels.py")
+    for node in ast.walk(tree):
+        line = getattr(node, "lineno", 0)
+        if isinstance(node, ast.ExceptHandler) and node.type is None:
+            found.append(f"{where}:{line}: bare except")
+        if isinstance(node, ast.keyword) and node.arg in ("fastmath", "parallel", "allow_pickle"):
+            if isinstance(node.value, ast.Constant) and node.value.value is False:
+                continue
+            found.append(f"{where}:{node.value.lineno}: {node.arg}")
+        if (
+            isinstance(node, ast.Attribute)
+            and ast.unparse(node.value) in ("np.random", "numpy.random")
+            and node.attr not in _RANDOM_TYPES
+        ):
+            found.append(f"{where}:{line}: global random state {ast.unparse(node)}")
+    return found
+
+
+_RANDOM_TYPES = ("Generator", "default_rng", "SeedSequence", "PCG64", "BitGenerator")
+
+
+def mocap_files() -> list[Path]:
+    return sorted((ROOT / "mocap").rglob("*.py"))
+
+
+def test_there_is_something_to_read() -> None:
+    names = {p.relative_to(ROOT).as_posix() for p in mocap_files()}
+    assert {"mocap/data/camera.py", "mocap/likelihood/_kernels.py", "mocap/pipeline/config.py"} <= names
+
+
+def test_every_arrow_points_the_right_way_and_nothing_banned_is_written() -> None:
+    found = [v for path in mocap_files() for v in violations(path, path.read_text("utf-8"))]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("where", "text", "message"),
+    [
+        ("mocap/volume/x.py", "from mocap.tracking import features", "volume must not import tracking"),
+        ("mocap/filters/x.py", "import mocap.body.model", "filters must not import body"),
+        (
+            "mocap/filters/x.py",
+            "def f():\n    from mocap.likelihood import VoxelProblem",
+            "must not import likelihood",
+        ),
+        ("mocap/geometry/x.py", "from mocap.data import Camera", "geometry must not import data"),
+        ("mocap/geometry/x.py", "from ..data import Camera", "geometry must not import data"),
+        ("mocap/data/x.py", "from mocap import pipeline", "data must not import pipeline"),
+        ("mocap/io/x.py", "from mocap.pipeline.config import Config", "only the pipeline"),
+        ("mocap/view/x.py", "from mocap.body import Body", "view must not import body"),
+        ("mocap/pipeline/x.py", "def f():\n    import data_synth", "must not import data_synth"),
+        ("mocap/pipeline/x.py", "from eval.bench import scene", "must not import eval"),
+        ("mocap/cli.py", "import data_synth", "inside the function"),
+        ("mocap/io/x.py", "import zarr", "inside the function"),
+        ("mocap/view/x.py", "import matplotlib.pyplot as plt", "inside the function"),
+        ("mocap/view/x.py", "import importlib\nm = importlib.import_module('rerun')", "inside the function"),
+        ("mocap/body/x.py", "import pickle", "must not import pickle"),
+        ("mocap/body/x.py", "from numba import njit", "_kernels.py"),
+        ("mocap/body/_kernels.py", "@njit(fastmath=True)\ndef f(): pass", "fastmath"),
+        ("mocap/body/x.py", "import numpy as np\nnp.load(f, allow_pickle=True)", "allow_pickle"),
+        ("mocap/body/x.py", "try:\n    f()\nexcept:\n    pass", "bare except"),
+        ("mocap/body/x.py", "import numpy as np\nnp.random.seed(0)", "global random state"),
+        ("mocap/body/x.py", "import numpy as np\nx = np.random.normal()", "global random state"),
+        ("mocap/newstage/x.py", "import numpy", "no place in the house"),
+    ],
+)
+def test_a_wrong_arrow_is_caught(where: str, text: str, message: str) -> None:
+    found = violations(ROOT / where, text)
+    assert len(found) >= 1
+    assert message in "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("where", "text"),
+    [
+        ("mocap/likelihood/x.py", "from mocap.body import Body"),
+        (
+            "mocap/filters/x.py",
+            "from mocap.data import StateLayout\nfrom mocap.geometry.rigid import wrap_angle",
+        ),
+        ("mocap/io/x.py", "def f():\n    import zarr"),
+        ("mocap/io/x.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import zarr"),
+        ("mocap/cli.py", "def demo():\n    from data_synth import synthesise"),
+        ("mocap/body/_kernels.py", "from numba import njit"),
+        ("mocap/body/x.py", "from mocap.errors import MocapError\nfrom mocap.body.model import Body"),
+        ("mocap/body/x.py", "import numpy as np\ndef f(*, rng: np.random.Generator): pass"),
+        ("mocap/body/x.py", "import numpy as np\nx = np.random.default_rng(0).permutation(5)"),
+    ],
+)
+def test_a_right_arrow_is_let_through(where: str, text: str) -> None:
+    assert violations(ROOT / where, text) == []
+
+
+def test_stages_have_tests() -> None:
+    """tests/ mirrors the packages of mocap."""
+    for package in ("geometry", "data", "io", "view", *STAGES):
+        assert list((ROOT / "tests" / package).glob("test_*.py")), f"tests/{package} is empty"
