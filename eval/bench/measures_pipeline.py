@@ -1,0 +1,95 @@
+"""The whole: filter steps per second on one thread, tracker, start of the command line, memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from statistics import median
+
+import numpy as np
+
+from eval.bench.measures_likelihood import body_scene
+from eval.bench.registry import measure
+
+_SEED = 5
+
+
+def _filter_fps(n_layers: int, n_particles: int, *, with_refinement: bool) -> float:
+    from mocap.filters import ApfSettings, ParticleState, RefineSettings, apf_step, refine
+
+    scene = body_scene()
+    n_columns = scene.voxels.layout.n_columns
+    std = 0.5 * scene.voxels.body.max_speed / 25.0
+    settings = ApfSettings(n_layers=n_layers, n_particles=n_particles, std=std)
+    refining = RefineSettings(prior_std=np.where(np.arange(n_columns) < 3, 0.1, 0.5))
+    start = ParticleState(np.tile(scene.truth, (n_particles, 1)), np.full(n_particles, 1.0 / n_particles))
+    rng = np.random.default_rng(_SEED)
+    times = []
+    for _ in range(4):
+        begun = time.thread_time()
+        _, info = apf_step(scene.voxels, start, settings, rng=rng)
+        if with_refinement:
+            refine(scene.surface, info.estimate, refining)
+        times.append(time.thread_time() - begun)
+    return 1.0 / median(times[1:])
+
+
+@measure("fps_exact", unit="frames/s", better="higher")
+def fps_exact() -> float:
+    """Published filter, 6 layers of 600 exact evaluations, one thread, one person, filter alone (CPU time)."""
+    return _filter_fps(6, 600, with_refinement=False)
+
+
+@measure("fps_default", unit="frames/s", better="higher")
+def fps_default() -> float:
+    """Default preset, 4 layers of 300 evaluations and refinement, one thread, filter alone (CPU time)."""
+    return _filter_fps(4, 300, with_refinement=True)
+
+
+@measure("tracker_ms_per_person", unit="ms", better="lower")
+def tracker_ms_per_person() -> float:
+    """Components and one step of the naive tracker for one person at 2 cm (CPU time)."""
+    from mocap.tracking import TrackerSettings, TrackerState, track_step
+    from mocap.volume import connected_components
+
+    volume = body_scene().voxels.volume
+    subs = np.argwhere(volume.crop >= 128) + volume.lower_subscript
+    inside = np.all((subs >= 0) & (subs < np.array(volume.grid.shape)), axis=1)
+    voxels = np.sort(volume.grid.linear(subs[inside]))
+    centers = volume.grid.centers(voxels)
+    settings = TrackerSettings(voxel_size_m=volume.grid.voxel_size_m)
+    state = TrackerState()
+    times = []
+    for frame in range(12):
+        begun = time.thread_time()
+        labels, _ = connected_components(voxels, volume.grid)
+        state, _ = track_step(state, centers, labels, frame, settings)
+        times.append(time.thread_time() - begun)
+    return 1000.0 * median(times[2:])
+
+
+@measure("cli_help_s", unit="s", better="lower")
+def cli_help_s() -> float:
+    """`mocap --help` as a whole process, median of five."""
+    times = []
+    for _ in range(5):
+        begun = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "mocap", "--help"], check=True, capture_output=True)
+        times.append(time.perf_counter() - begun)
+    return median(times)
+
+
+@measure("peak_memory_mb", unit="MB", better="lower")
+def peak_memory_mb() -> float:
+    """Largest resident memory of a process that builds the tables of a 5 x 4 x 2.2 m room, 7 cameras, 2 cm."""
+    code = (
+        "import numpy as np, resource\n"
+        "from eval.bench.scene import make_scene\n"
+        "from mocap.volume import Carver\n"
+        "scene = make_scene(1, rng=np.random.default_rng(0))\n"
+        "Carver(scene.rig, scene.grid)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    return float(done.stdout)
