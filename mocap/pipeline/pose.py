@@ -62,6 +62,10 @@ _UNEXPLAINED_M = 0.05
 _UNEXPLAINED_SHARE = 0.025  # of the hull's surface points; loose clothes reach 0.01, a lost forearm 0.04
 _LOOK_EVERY = 3
 _SCOUT_ZEAL = 4.0
+_LOST_NATS = 12.0
+_RESCUE_MARGIN_NATS = 4.0
+_RESCUE_AFTER = 8
+_RESCUE_MEMORY = 90
 _BLIND_STD_M = 0.02
 _TRIAL_S = 3.0  # how far each way two starting hypotheses are compared
 _TRIAL_STRIDE = 3
@@ -87,7 +91,6 @@ class PersonPoses:
     frames : (T,).  states : (T, D).  landmarks : (T, 15, 3) m.  landmark_covariance : (T, 15, 3, 3) m^2.
     observed : (T, 15) bool.
     log_likelihood, ess_share : (T,).  start_frame : where the first pose was found.  first_pose : its name.
-    n_evaluations : likelihood evaluations per frame.
     """
 
     person: int
@@ -277,6 +280,10 @@ class PoseSearch:
             value -= _FACING_NATS * (1.0 - np.cos(states[:, yaw] - heading))
         return value
 
+    def judge(self, states: Sequence[Array]) -> Array:
+        """The evidence of states with the prior on the direction, (K,) nats."""
+        return self.score(np.stack(states)) - _surface_nats(self.problems[1], states)
+
     def attempt(
         self,
         start: ParticleState,
@@ -299,8 +306,7 @@ class PoseSearch:
                 self.tools, problem, surface, found[1], look_at_hull=True, max_limbs=4, rng=rng
             )
             found.append(recovered)
-        values = self.score(np.stack(found))
-        values -= _surface_nats(surface, found)
+        values = self.score(np.stack(found)) - _surface_nats(surface, found)
         top = int(values.argmax())
         return FirstPose(self.frame, found[top], label, float(values[top]))
 
@@ -408,6 +414,7 @@ def filter_frames(
     estimate = first
     last_xyz = xyz[order[0]] if len(order) else np.zeros(3)
     blind_std = 0.0
+    rescue = Rescue()
     for i in order:
         hull = hull_of(int(frames[i]))
         if hull is None or len(hull.voxels) < MIN_VOXELS:
@@ -452,6 +459,15 @@ def filter_frames(
                 max_limbs=3,
                 rng=rng,
             )
+        value = float(evidence(problem, surface, [estimate])[0])
+        if tools.pose.scouts and rescue.is_due(i, value):
+            search = PoseSearch(tools, hull, int(frames[i]), _walking(frames, xyz, i, tools.fps))
+            saved = rescue_pose(search, estimate, rescue.best_state, rng=rng)
+            lost_judged, saved_judged = search.judge([estimate, saved])
+            if rescue.settle(i, lost_judged, saved_judged):
+                estimate, value = saved, float(evidence(problem, surface, [saved])[0])
+                particles = initial_particles(problem, estimate, settings.n_particles)
+        rescue.note(estimate, value)
         if tools.pose.refine or tools.pose.scouts:
             particles = _feed_back(particles, estimate, tools.pose.feedback_share)
         scores = part_scores(tools.body, tools.table, problem.volume, estimate[None])
@@ -462,9 +478,77 @@ def filter_frames(
             landmark_covariance=spread + (0.5 * tools.grid.voxel_size_m) ** 2 * np.eye(3),
             observed=_observed_landmarks(tools.body, scores.occupied[0]),
             log_likelihood=float(problem.log_likelihood(estimate[None]).sum()),
-            evidence=float(evidence(problem, surface, [estimate])[0]),
+            evidence=value,
             ess_share=float(info.ess[-1]) / len(particles.weights),
         )
+
+
+@dataclass
+class Rescue:
+    """When a pose counts as lost: its evidence has fallen far below what this person's poses usually reach.
+
+    best_state is the latest pose that was good; a failed rescue doubles the pause before the next.
+    """
+
+    best_state: Array | None = None
+    _values: list[float] = field(default_factory=list)
+    _next: int | None = None
+    _pause: int = 2
+
+    @property
+    def usual(self) -> float:
+        return float(np.quantile(self._values, 0.6)) if len(self._values) >= _RESCUE_AFTER else -np.inf
+
+    def is_due(self, row: int, value: float) -> bool:
+        """Whether row's pose is lost and the last attempt lies far enough back."""
+        waited = self._next is None or abs(row - self._next) >= self._pause
+        return value < self.usual - _LOST_NATS and waited
+
+    def settle(self, row: int, value: float, saved: float) -> bool:
+        """Whether a rescued pose is taken."""
+        self._next = row
+        is_better = saved > value + _RESCUE_MARGIN_NATS
+        self._pause = 2 if is_better else min(2 * self._pause, 32)
+        return is_better
+
+    def note(self, state: Array, value: float) -> None:
+        if value >= self.usual - 0.5 * _LOST_NATS:
+            self.best_state = state
+        self._values.append(value)
+        del self._values[:-_RESCUE_MEMORY]
+
+
+def rescue_pose(search: PoseSearch, state: Array, good: Array | None, *, rng: np.random.Generator) -> Array:
+    """A new pose for a lost body: from the last good pose and from usual poses, moved to where the body is now.
+
+    Where it is and which way it faces are taken from the lost state (D,), whose trunk and head are kept longest,
+    unless the person walks another way.
+    """
+    body = search.tools.body
+    yaw = _yaw_column(body)
+    facing = 0.0 if yaw is None else float(state[yaw])
+    if search.heading is not None and np.cos(facing - search.heading) < 0.5:
+        facing = search.heading
+    starts, _ = candidate_states(body, search.tools.grid.centers(search.hull.voxels), np.array([facing]))
+    states = [*starts, state]
+    if good is not None:
+        moved = good.copy()
+        moved[:3] = state[:3]
+        if yaw is not None:
+            moved[yaw] = facing
+        states.append(moved)
+    problem = search.problems[0]
+    brief = ApfSettings(n_layers=4, n_particles=80, std=0.5 * search.std, alpha=0.5)
+    thorough = ApfSettings(n_layers=6, n_particles=200, std=0.5 * search.std, alpha=0.6)
+    tried = [
+        search.attempt(initial_particles(problem, s, 2), "", brief, is_brief=True, rng=rng) for s in states
+    ]
+    tried.sort(key=lambda found: -found.log_likelihood)
+    settled = [
+        search.attempt(initial_particles(problem, f.state, 2), "", thorough, is_brief=False, rng=rng)
+        for f in tried[:2]
+    ]
+    return max(settled, key=lambda found: found.log_likelihood).state
 
 
 def choose_hypothesis(

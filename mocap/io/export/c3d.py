@@ -65,16 +65,19 @@ def write_c3d(path: Path, motion: Motion, fps: float) -> None:
                 remedy="check that the folder is writable and has space left",
                 path=path,
             ) from error
-        # ezc3d says nothing when the disk is full; what it could not write is missing at the end.
-        if temporary.stat().st_size < _bytes_needed(temporary, points.shape[2] * points.shape[1]):
+        if not _is_whole(temporary, points.shape[1] * points.shape[2]):
+            # ezc3d says nothing when the disk is full.
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def _bytes_needed(path: Path, n_points: int) -> int:
-    """Size of a whole file of so many points (x, y, z, residual as float32) by the header it begins with."""
+def _is_whole(path: Path, n_points: int) -> bool:
+    """Whether a file of so many points (x, y, z, residual as float32) was written to its end.
+
+    ezc3d puts the block where the data begin into the header at the very end; until then it says 1.
+    """
     with path.open("rb") as file:
         header = file.read(_BLOCK_BYTES)
     if len(header) < _BLOCK_BYTES:
-        return _BLOCK_BYTES
+        return False
     (first_block,) = struct.unpack_from("<H", header, 16)
-    return (int(first_block) - 1) * _BLOCK_BYTES + n_points * 16
+    return first_block > 1 and path.stat().st_size >= (first_block - 1) * _BLOCK_BYTES + 16 * n_points
