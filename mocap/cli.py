@@ -33,7 +33,7 @@ SessionPath = Annotated[
 ]
 OutPath = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 PresetOption = Annotated[
-    str, typer.Option("--preset", help="default, reference, realtime, ... or a TOML file.")
+    str, typer.Option("--preset", help="default, realtime, reference, thesis_body, or a TOML file.")
 ]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="Change one setting: section.key=value (repeatable).")
@@ -121,11 +121,18 @@ def _progress() -> Iterator[Progress]:
             yield show
         return
     last: dict[str, float] = {}
+    finished: dict[str, int] = {}
 
     def say(stage: str, done: int, total: int) -> None:
         now = time.monotonic()
-        if done == total or now - last.get(stage, 0.0) > 10.0:
+        if stage not in last:
+            last[stage] = now  # the first line comes after ten seconds, or at the end
+        if done == total and total == finished.get(stage):
+            return
+        if done == total or now - last[stage] > 10.0:
             last[stage] = now
+            if done == total:
+                finished[stage] = total
             sys.stderr.write(f"{stage}: {done}/{total}\n")
             sys.stderr.flush()
 
@@ -193,6 +200,8 @@ def _say_result(result: RunResult) -> None:
     for stage in result.reused:
         typer.echo(f"  {stage:<8} reused")
     for stage, seconds in result.timings_s.items():
+        if stage == "report" and result.status != "complete":
+            continue
         typer.echo(f"  {stage:<8} {seconds:8.2f} s  {n / max(seconds, 1e-9):8.1f} frames/s")
     if result.scores is not None:
         _say_scores(result.scores)
@@ -219,10 +228,15 @@ _SCORE_ROWS = (
 
 
 def _say_scores(scores: dict[str, Any]) -> None:
-    typer.echo("Scores against the truth:")
+    if scores.get("mean_error_mm") is None:
+        typer.echo("Scores against the truth: nobody of the truth was found, so there is no error to give.")
+    else:
+        typer.echo("Scores against the truth:")
     for key, words, unit in _SCORE_ROWS:
         value = scores.get(key)
-        text = "-" if value is None else f"{value:.2f}" if key == "volume_iou" else f"{value:.1f}"
+        if value is None:
+            continue
+        text = f"{value:.2f}" if key == "volume_iou" else f"{value:.1f}"
         typer.echo(f"  {words:<34} {text:>8} {unit}")
     if scores.get("unit_warning"):
         typer.echo(f"  warning: {scores['unit_warning']}")
@@ -394,7 +408,7 @@ def _list_scenes(value: bool) -> None:
 
 @app.command()
 def synth(
-    out: OutPath,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the session.")],
     scene: Annotated[str, typer.Option("--scene", help="Scene name or TOML file.")] = "demo",
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Another seed than the scene's own.")
@@ -433,6 +447,8 @@ def convert_calibration(
     """Read a calibration of any supported format and write our own TOML in metres."""
     from mocap.io.calibration import read_calibration, write_calibration
 
+    if units is not None and units not in ("m", "cm", "mm"):
+        raise MocapError(f"unknown unit {units!r}", remedy="give --units m, cm or mm")
     found = read_calibration(source, units=units, check_world=False)
     write_calibration(out, found.rig, metadata={"source_format": found.format})
     typer.echo(f"{found.format}, units {found.units}: {len(found.rig)} cameras -> {out}")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -150,7 +151,7 @@ class StageWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            _discard(self._folder)
             return
         assert self._group is not None
         final = self._root / self._stage
@@ -176,7 +177,7 @@ class StageWriter:
                     shutil.rmtree(final)
                 os.replace(self._folder, final)
         except MocapError:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            _discard(self._folder)
             raise
 
 
@@ -310,6 +311,15 @@ def _put(group: Any, name: str, array: NDArray[np.int64]) -> None:
 def _check_stage(stage: str) -> None:
     if not stage or not all(c.isalnum() or c in "_-" for c in stage):
         raise ValueError(f"stage must be a word of letters, digits, _ and -, got {stage!r}")
+
+
+def _discard(folder: Path) -> None:
+    """Remove an unfinished product. zarr's own thread may still be writing into it, so once may not be enough."""
+    for _ in range(20):
+        shutil.rmtree(folder, ignore_errors=True)
+        time.sleep(0.01)
+        if not folder.exists():
+            return
 
 
 def _partial(root: Path, stage: str) -> Path:

@@ -172,8 +172,12 @@ def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Conf
         first = error.errors()[0]
         dotted = ".".join(str(p) for p in first["loc"])
         what = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].lower()
+        keys = [setting.partition("=")[0].strip() for setting in settings]
+        is_setting = any(dotted == key or dotted.startswith(key + ".") for key in keys)
         raise MocapError(
-            f"configuration: {dotted}: {what}", path=path, remedy=_allowed_keys(first["loc"])
+            f"configuration: {dotted}: {what}",
+            path=None if is_setting else path,
+            remedy=_allowed_keys(first["loc"]),
         ) from error
 
 

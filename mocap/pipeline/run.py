@@ -20,7 +20,7 @@ from mocap.errors import MocapError
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline import stages
-from mocap.pipeline.config import Config, config_hash
+from mocap.pipeline.config import Config, config_hash, load_config
 from mocap.pipeline.pose import PersonPoses
 
 STAGES = ("segment", "carve", "track", "pose", "report")
@@ -81,15 +81,16 @@ def run_session(
 ) -> RunResult:
     """Run the pipeline on a session folder and write every output of the run into `out`.
 
-    until : last stage to run, one of STAGES.  resume : reuse stage products in `out` whose configuration, inputs and
-    code are the same; otherwise everything is computed anew.  frames : (start, stop).  n_threads : None = up to
-    2; the result does not depend on it.  progress : called as progress(stage, done, total).
+    config : None = the preset `default`.  until : last stage to run, one of STAGES.  resume : reuse stage products
+    in `out` whose configuration, inputs and code are the same; otherwise everything is computed anew.
+    frames : (start, stop).  n_threads : None = up to 2; the result does not depend on it.
+    progress : called as progress(stage, done, total).
     Raises MocapError for bad input, before anything in `out` is touched where possible; finished stage products
     are never damaged, and tables, exports and report replace earlier ones together, when all are written.
     """
     if until not in STAGES:
         raise ValueError(f"until must be one of {', '.join(STAGES)}, got {until!r}")
-    config = config or Config()
+    config = config or load_config()
     _check_config(config)
     tick: Progress = progress or (lambda stage, done, total: None)
     threads = n_threads or min(2, os.cpu_count() or 1)
@@ -145,7 +146,7 @@ def run_session(
         if not tracks.persons:
             warnings.append(
                 "no person was found in the volume. Remedy: look at the silhouettes and the hull in the report; "
-                "a person needs 30 to 300 litres of connected volume"
+                "a person needs some 15 to 500 litres of connected volume"
             )
 
     poses: list[PersonPoses] = []

@@ -84,12 +84,17 @@ def learn_backgrounds(session: Session, config: SegmentationConfig, warnings: li
                 background = median_background(islice(clip, 0, None, step))
         warnings += [f"camera {camera.name}: {w}" for w in background.warnings]
         backgrounds.append(background)
-    if config.background == "auto":
-        missing = [c.name for c in session.rig if c.name not in session.background_sources]
+    if config.background in ("auto", "median"):
+        missing = [
+            c.name
+            for c in session.rig
+            if config.background == "median" or c.name not in session.background_sources
+        ]
         if missing:
             warnings.append(
-                f"no empty-scene clip for {', '.join(missing)}: the background was learnt as the temporal median "
-                "of the video. Remedy: a person who stays in place is lost this way; record background/CAMERA.mp4"
+                f"the background of {', '.join(missing)} was learnt as the temporal median of {n_frames} frames; a "
+                "person who stays in place, or a short clip, is lost this way. Remedy: record an empty scene as "
+                "background/CAMERA.mp4"
             )
     return backgrounds
 

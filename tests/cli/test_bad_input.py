@@ -26,6 +26,10 @@ from small_session import (
     write_clip,
 )
 
+from mocap.data import LANDMARKS, Motion
+from mocap.errors import MocapError
+from mocap.io.export import write_c3d
+
 Damage = Callable[[Path], object]
 
 
@@ -335,6 +339,22 @@ def test_full_disk(n_bytes: int, finished: tuple[Path, Path, dict[str, str]], tm
     assert mocap("run", session, "-o", out, "--resume", *set_options(SETTINGS)).code == 0
     same = ("tracks.csv", "landmarks.csv", "person_1.bvh")
     assert {k: without_store(out)[k] for k in same} == {k: before[k] for k in same}
+
+
+@pytest.mark.parametrize("n_bytes", [100, 2_000, 4_000])
+def test_full_disk_while_ezc3d_writes(n_bytes: int, tmp_path: Path) -> None:
+    """The library writes half a file without a word; we must not take it for a whole one."""
+    pytest.importorskip("ezc3d", reason="C3D needs the extra export")
+    path = tmp_path / "person_1.c3d"
+    rng = np.random.default_rng(1)
+    motion = Motion(1, np.arange(12), np.arange(12) / 10, rng.normal(size=(12, len(LANDMARKS), 3)))
+    write_c3d(path, motion, 10.0)
+    before = path.read_bytes()
+    assert len(before) > 4_000
+    with full_disk(n_bytes), pytest.raises(MocapError, match="No space left"):
+        write_c3d(path, motion, 10.0)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_no_space_left(finished: tuple[Path, Path, dict[str, str]], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,8 +42,8 @@ def test_held_out_scenes_share_no_seed_with_development() -> None:
         scene = load_scene(name)
         return {scene.seed, *(p.seed for p in scene.persons)}
 
-    development = set().union(*(seeds(n) for n in list_scenes() if not n.endswith("_test")))
-    held_out = set().union(*(seeds(n) for n in list_scenes() if n.endswith("_test")))
+    development = set().union(*(seeds(n) for n in list_scenes() if not n.endswith(("_test", "_final"))))
+    held_out = set().union(*(seeds(n) for n in list_scenes() if n.endswith(("_test", "_final"))))
     assert not development & held_out
 
 
