@@ -106,7 +106,7 @@ class PoseConfig(_Section):
     n_start_frames: int = Field(default=3, ge=1)
     """Frames of the first two seconds in which the first pose is looked for."""
     n_first_poses: int = Field(default=8, ge=1)
-    """Candidates that are followed to the end in each of them; five times as many are followed briefly."""
+    """Candidates that are followed to the end in each of them; four times as many are followed briefly."""
 
 
 class OutputConfig(_Section):

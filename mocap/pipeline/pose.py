@@ -260,6 +260,12 @@ class PoseSearch:
     def problems(self) -> tuple[VoxelProblem, SurfaceProblem]:
         return self.tools.problems(self.hull)
 
+    @cached_property
+    def coarse(self) -> SurfaceProblem:
+        """A cheap surface problem for brief attempts."""
+        settings = SurfaceFitSettings(n_hull_points=400, n_flesh_points=150)
+        return SurfaceProblem(self.tools.body, self.tools.table, self.problems[1].hull, settings)
+
     @property
     def heading(self) -> float | None:
         """Direction of walking, rad, or None for a person who stays."""
@@ -284,6 +290,15 @@ class PoseSearch:
         """The evidence of states with the prior on the direction, (K,) nats."""
         return self.score(np.stack(states)) - _surface_nats(self.problems[1], states)
 
+    def with_limbs_recovered(self, found: FirstPose, *, rng: np.random.Generator) -> FirstPose:
+        """The same pose after scouts have looked for limbs that fit badly or that the hull shows elsewhere."""
+        problem, surface = self.problems
+        state = recover_limbs(
+            self.tools, problem, surface, found.state, look_at_hull=True, max_limbs=4, rng=rng
+        )
+        value = float(self.judge([state])[0])
+        return FirstPose(found.frame, state, found.label, value) if value > found.log_likelihood else found
+
     def attempt(
         self,
         start: ParticleState,
@@ -293,19 +308,13 @@ class PoseSearch:
         is_brief: bool,
         rng: np.random.Generator,
     ) -> FirstPose:
-        """A short filter from some particles, refined; with scouts unless it is brief."""
+        """A short filter from some particles, refined."""
         problem, surface = self.problems
         _, info = apf_step(problem, start, settings, rng=rng)
         if is_brief:
-            coarse = SurfaceFitSettings(n_hull_points=400, n_flesh_points=150)
-            surface = SurfaceProblem(self.tools.body, self.tools.table, surface.hull, coarse)
+            surface = self.coarse
         refining = self.tools.refine_settings(5 if is_brief else 12)
         found = [info.estimate, refine(surface, info.estimate, refining)[0]]
-        if not is_brief:
-            recovered = recover_limbs(
-                self.tools, problem, surface, found[1], look_at_hull=True, max_limbs=4, rng=rng
-            )
-            found.append(recovered)
         values = self.score(np.stack(found)) - _surface_nats(surface, found)
         top = int(values.argmax())
         return FirstPose(self.frame, found[top], label, float(values[top]))
@@ -329,7 +338,7 @@ def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[Fir
     brief = ApfSettings(n_layers=4, n_particles=80, std=search.std, alpha=0.5)
     tried = [
         search.attempt(ParticleState(copies[k], equal), labels[k], brief, is_brief=True, rng=rng)
-        for k in np.argsort(-value.max(axis=1), kind="stable")[: 5 * search.tools.pose.n_first_poses]
+        for k in np.argsort(-value.max(axis=1), kind="stable")[: 4 * search.tools.pose.n_first_poses]
     ]
     return sorted(tried, key=lambda found: -found.log_likelihood)
 
@@ -351,10 +360,16 @@ def settle_first_poses(
         for f in chosen
     ]
     found.sort(key=lambda f: -f.log_likelihood)
+    if yaw is not None:
+        ahead = [f for f in found if np.cos(f.state[yaw] - found[0].state[yaw]) >= 0]
+        other = [f for f in found if np.cos(f.state[yaw] - found[0].state[yaw]) < 0]
+        found = [*ahead[:2], *other[:1]]
+    recovered = [search.with_limbs_recovered(f, rng=rng) for f in found[:3]]
+    recovered.sort(key=lambda f: -f.log_likelihood)
     if yaw is None:
-        return found[:1]
-    other = [f for f in found if np.cos(f.state[yaw] - found[0].state[yaw]) < 0]
-    return [found[0], *other[:1]]
+        return recovered[:1]
+    other = [f for f in recovered if np.cos(f.state[yaw] - recovered[0].state[yaw]) < 0]
+    return [recovered[0], *other[:1]]
 
 
 def _yaw_column(body: Body) -> int | None:
@@ -548,7 +563,8 @@ def rescue_pose(search: PoseSearch, state: Array, good: Array | None, *, rng: np
         search.attempt(initial_particles(problem, f.state, 2), "", thorough, is_brief=False, rng=rng)
         for f in tried[:2]
     ]
-    return max(settled, key=lambda found: found.log_likelihood).state
+    best = max(settled, key=lambda found: found.log_likelihood)
+    return search.with_limbs_recovered(best, rng=rng).state
 
 
 def choose_hypothesis(
