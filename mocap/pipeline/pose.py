@@ -69,7 +69,8 @@ _RESCUE_MEMORY = 90
 _BLIND_STD_M = 0.02
 _TRIAL_S = 3.0  # how far each way two starting hypotheses are compared
 _TRIAL_STRIDE = 3
-_CLEAR_FACING_NATS = 1.0
+_CLEAR_FACING_NATS = 3.0
+_SHORT_FRAMES = 10  # a clip too short to compare two starting hypotheses over time
 _DECISIVE_NATS = 25.0  # one frame decides alone when its two hypotheses are this far apart
 
 
@@ -582,8 +583,11 @@ def choose_hypothesis(
     Each is followed over every third frame with few particles. Front and back look alike in one frame; knees and
     elbows that bend tell them apart over time.
     """
-    if len(hypotheses) == 1 or hypotheses[0].log_likelihood > hypotheses[1].log_likelihood + _DECISIVE_NATS:
-        return hypotheses[0], np.array([hypotheses[0].log_likelihood])
+    settled = np.array([h.log_likelihood for h in hypotheses])
+    if len(frames) < _SHORT_FRAMES:
+        return hypotheses[0], settled
+    if len(hypotheses) == 1 or settled[0] > settled[1] + _DECISIVE_NATS:
+        return hypotheses[0], settled[:1]
     quick = replace(
         tools,
         fps=tools.fps / _TRIAL_STRIDE,
@@ -628,6 +632,11 @@ def follow_person(
     usable = [i for i in range(T) if _is_usable(hull_of(int(frames[i])))]
     if not usable:
         raise ValueError(f"person {person} has no frame with a usable hull")
+    searching = tools
+    if len(usable) < _SHORT_FRAMES:
+        # No motion will tell front from back: look harder.
+        harder = tools.pose.model_copy(update={"n_first_poses": 3 * tools.pose.n_first_poses})
+        searching = replace(tools, pose=harder)
     window = [i for i in usable if frames[i] - frames[usable[0]] <= 2 * tools.fps]
     picks = np.unique(np.linspace(0, len(window) - 1, tools.pose.n_start_frames).astype(int))
     searches = []
@@ -635,7 +644,7 @@ def follow_person(
         frame = int(frames[i])
         hull = hull_of(frame)
         if hull is not None:
-            search = PoseSearch(tools, hull, frame, _walking(frames, xyz, i, tools.fps))
+            search = PoseSearch(searching, hull, frame, _walking(frames, xyz, i, tools.fps))
             tried = try_first_poses(search, rng=rng_for(seed, "first-pose", person, frame))
             searches.append((search, tried))
     search, tried = max(searches, key=lambda entry: entry[1][0].log_likelihood)
