@@ -169,13 +169,8 @@ def test_presets_are_valid_and_have_a_configuration_file() -> None:
 
 
 def readme_example() -> str:
-    readme = ROOT / "README.md"
-    if not readme.exists():
-        pytest.skip("README.md is not written yet")
-    blocks = re.findall(r"^```python\n(.*?)^```", readme.read_text(encoding="utf-8"), flags=re.S | re.M)
-    if not blocks:
-        pytest.skip("README.md has no python block yet")
-    return blocks[0]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    return re.findall(r"^```python\n(.*?)^```", readme, flags=re.S | re.M)[0]
 
 
 def test_readme_example_runs(session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
