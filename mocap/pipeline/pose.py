@@ -591,7 +591,9 @@ def choose_hypothesis(
     quick = replace(
         tools,
         fps=tools.fps / _TRIAL_STRIDE,
-        pose=tools.pose.model_copy(update={"n_layers": 4, "n_particles": 200}),
+        pose=tools.pose.model_copy(
+            update={"n_layers": 4, "n_particles": 200, "refine": True, "scouts": False}
+        ),
     )
     reach = round(_TRIAL_S * tools.fps)
     values = []
