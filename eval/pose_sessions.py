@@ -3,7 +3,7 @@
 Runs the pipeline as a user would on held-out synthetic scenes and, where they lie beside the checkout, on the
 realistic development sessions in ../shared/dev_sessions; writes eval/results/pose_sessions.csv and docs/results.md.
 
-    python -m eval.pose_sessions [--seeds 3] [--only walk_test,dev:walk] [--work out/eval]
+    python -m eval.pose_sessions [--seeds 3] [--first-seed 0] [--only walk_test,dev:walk] [--work out/eval]
 
 Takes about 25 s per session, preset and seed on two cores. Published figures beside ours: CF Table 6.4
 (markerless APF on HumanEva-I, epsilon = 100 mm): mean 121 mm, MMTP 90 mm, MMTA 71.4 %.
@@ -211,6 +211,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first-seed", type=int, default=0, help="add seeds to an earlier evaluation")
     parser.add_argument("--only", default="", help="comma-separated session names")
     parser.add_argument("--presets", default=",".join(PRESETS))
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
@@ -221,7 +222,7 @@ def main() -> None:
         only = set(args.only.split(",")) if args.only else None
         for name, folder in sessions(only):
             for preset in args.presets.split(","):
-                for seed in range(args.seeds):
+                for seed in range(args.first_seed, args.first_seed + args.seeds):
                     row = measure(name, folder, preset, seed, args.work)
                     same = (name, preset, seed)
                     rows = [r for r in rows if (r["session"], r["preset"], int(r["seed"])) != same] + [row]
