@@ -231,7 +231,7 @@ def write_run_report(
 ) -> None:
     """report.html: what was found, pictures to judge it by, errors where truth exists, timing, settings."""
     from mocap.pipeline.run import versions
-    from mocap.view import ReportData, write_report
+    from mocap.view import SCORES, ReportData, write_report
 
     session = result.session
     n = len(session.frames)
@@ -262,7 +262,7 @@ def write_run_report(
         fps=session.fps,
         warnings=result.warnings,
         summary=tuple(summary),
-        scores={k: v for k, v in scores.items() if not isinstance(v, str | dict | list | tuple)} or None,
+        scores={k: scores[k] for k in SCORES if k in scores} or None,
         per_landmark_mm=scores.get("per_landmark_mm"),
         timings={
             stage: (seconds, 1000.0 * seconds / n)
@@ -302,7 +302,7 @@ def _figures(result: RunResult, store: StageStore) -> Iterator[Figure]:
     session = result.session
     truth = session.truth_dir
     if result.scores is not None and truth is not None and result.poses:
-        errors = _errors_by_person(result, truth)
+        errors = errors_by_person(result, truth)
         if errors:
             yield Figure(
                 "Error over time",
@@ -371,7 +371,8 @@ def _figures(result: RunResult, store: StageStore) -> Iterator[Figure]:
         )
 
 
-def _errors_by_person(result: RunResult, truth_dir: Path) -> dict[int, tuple[NDArray[np.int64], Array]]:
+def errors_by_person(result: RunResult, truth_dir: Path) -> dict[int, tuple[NDArray[np.int64], Array]]:
+    """Frames (T,) and landmark errors (T, 15) mm of every estimated person that the truth knows."""
     from mocap.metrics import associate_persons
 
     truth = read_landmarks_csv(truth_dir / "landmarks.csv")
@@ -381,8 +382,7 @@ def _errors_by_person(result: RunResult, truth_dir: Path) -> dict[int, tuple[NDA
             continue
         common, i, j = np.intersect1d(estimate.frames, true.frames, return_indices=True)
         if len(common):
-            mm = 1000.0 * point_errors(estimate.landmarks[i], true.landmarks[j])
-            errors[estimate.person] = (common, mm)
+            errors[estimate.person] = (common, point_errors(estimate.landmarks[i], true.landmarks[j]))
     return errors
 
 

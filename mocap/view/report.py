@@ -47,6 +47,14 @@ SCORES: dict[str, Score] = {
         "Distance between estimated and true landmarks, averaged over landmarks and frames.",
     ),
     "std_error_mm": Score("Spread of the error", "mm", "Standard deviation of those distances."),
+    "mean_error_after_offset_mm": Score(
+        "Mean error after offsets",
+        "mm",
+        "The same after one constant offset per landmark (first 10 frames): bodies define joints differently.",
+    ),
+    "lost_wrist_percent": Score(
+        "Frames with a lost wrist", "%", "Frames in which a wrist lies more than 150 mm from the truth."
+    ),
     "mmta_percent": Score(
         "MMTA (accuracy)",
         "%",

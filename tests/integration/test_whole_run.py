@@ -25,6 +25,7 @@ from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.pipeline import run as run_module
 from mocap.pipeline import stages
 from mocap.pipeline.config import Config, load_config
+from mocap.pipeline.outputs import errors_by_person
 from mocap.pipeline.run import RunResult, run_session
 
 SEED = 3
@@ -211,6 +212,14 @@ def test_scores(full: RunResult, session: Path) -> None:
     assert finer["epsilon_mm"] == 30.0
     assert finer["mmta_percent"] <= scores["mmta_percent"]
     assert "MMTA" in mocap("eval", full.out, session).out
+
+
+def test_error_plot_shows_the_scored_errors(full: RunResult, session: Path) -> None:
+    """Millimetres, as the scores: the plot once showed a thousand times as much."""
+    errors = errors_by_person(full, session / "truth")
+    assert full.scores is not None
+    mean = np.mean([np.nanmean(mm) for _, mm in errors.values()])
+    assert mean == pytest.approx(full.scores["mean_error_mm"], rel=1e-6)
 
 
 def test_volume_is_scored_at_the_voxel_size_of_the_truth(session: Path, tmp_path: Path) -> None:
