@@ -25,7 +25,7 @@ DEV = ROOT.parent / "shared" / "dev_sessions"
 RESULTS = ROOT / "eval" / "results" / "pose_sessions.csv"
 PAGE = ROOT / "docs" / "results.md"
 
-# *_final: persons, rigs and seeds made after the last change of the pose stage. *_test: held out from the choice of
+# *_final: persons, rigs and seeds made after the settings were chosen. *_test: held out from the choice of
 # settings, but walk_test showed a loss of the legs that led to the rescue of lost poses. The others are development.
 SCENES = ("walk_final", "box_final", "walk_test", "box_test", "gesture_test", "two_persons", "four_cameras")
 DEV_SESSIONS = ("walk", "reach", "cross", "room")
@@ -139,8 +139,9 @@ of frames in which a wrist lies more than 150 mm away.
 - `reference`: the published annealed particle filter, 6 layers of 600 particles (CF 6.7.2), on the anthropometric
   body. Published on HumanEva-I (CF Table 6.4): mean 121 mm, MMTP 90 mm, MMTA 71.4 %, at 0.15 frames/s.
 - `default`: 4 layers of 300 particles, refined on the hull's surface, with scouts for lost limbs.
-- Scenes `*_final` were made after the last change of the pose stage; nothing was chosen on them. `*_test` were held
-  out from the choice of settings, but a loss of the legs in `walk_test` led to the rescue of lost poses. `dev:*` are
+- Scenes `*_final` were made after the settings were chosen; nothing was chosen on them. `*_test` were held out from
+  the choice of settings, but were looked at: a loss of the legs in `walk_test` led to the rescue of lost poses, and
+  a wrong facing direction of `reference` in `gesture_test` to the present trial of two hypotheses. `dev:*` are
   realistic sessions that are not of our own making; they are not part of the repository and served as development
   material, as did the other scenes.
 """
