@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -102,7 +103,7 @@ def iter_clip(path: Path | str, *, size: Size | None = None, camera: str = "") -
         clip.close()
 
 
-class _Reader(Generic[Picture]):
+class _Reader(ABC, Generic[Picture]):
     """Synchronised reading of all cameras of a rig; the pictures of frame f come in the order of the rig."""
 
     def __init__(
@@ -169,8 +170,9 @@ class _Reader(Generic[Picture]):
             for worker in workers:
                 worker.stop()
 
+    @abstractmethod
     def _open(self, camera: int) -> _Clip[Picture]:
-        raise NotImplementedError
+        """The clip of one camera, by its place in the rig."""
 
 
 class FrameReader(_Reader[Image]):
