@@ -143,9 +143,9 @@ of frames in which a wrist lies more than 150 mm away.
   pose stage was changed three times, for other reasons: the first-pose search was made cheaper, then harder for very
   short clips, and the trial of two facing hypotheses was changed. `*_test` were held out from the choice of settings,
   but were looked at: a loss of the legs in `walk_test` led to the rescue of lost poses, a wrong facing direction of
-  `reference` in `gesture_test` (345 mm, seed 0) to the present trial. The rows are of the code after all this. `dev:*` are
-  realistic sessions that are not of our own making; they are not part of the repository and served as development
-  material, as did the other scenes.
+  `reference` in `gesture_test` (345 mm, seed 0) to the present trial. The rows are of the code after all this.
+- `dev:*` are realistic sessions that are not of our own making; they are not part of the repository and served as
+  development material, as did the other scenes.
 """
 _SPEED_HEAD = """
 Speed on the machine that made this page (two shared cores, wall clock; a busy machine shows here), from video to
