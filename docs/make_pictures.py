@@ -31,7 +31,8 @@ from mocap.io.video import FrameReader, iter_clip
 from mocap.metrics import epsilon_lilliefors, point_errors
 from mocap.pipeline.config import load_config
 from mocap.pipeline.outputs import body_parts
-from mocap.pipeline.pose import PersonHull, PersonPoses, PoseTools, make_tools
+from mocap.pipeline.pose import PersonPoses
+from mocap.pipeline.pose_problem import PersonHull, PoseTools, make_tools
 from mocap.pipeline.stages import hull_from_arrays, masks_from_arrays, stored_grid, stored_poses
 from mocap.view import (
     contact_sheet,

@@ -40,10 +40,10 @@ _HOMES = {
     "load_body_model": "mocap.body",
     "scale_body": "mocap.body",
     "landmarks_of": "mocap.body",
-    "PersonHull": "mocap.pipeline.pose",
+    "PersonHull": "mocap.pipeline.pose_problem",
     "estimate_height": "mocap.pipeline.pose",
     "follow_person": "mocap.pipeline.pose",
-    "make_tools": "mocap.pipeline.pose",
+    "make_tools": "mocap.pipeline.pose_problem",
     "evaluate": "mocap.metrics",
     # the whole
     "Config": "mocap.pipeline.config",

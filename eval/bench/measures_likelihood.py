@@ -54,7 +54,7 @@ def body_scene() -> BodyScene:
     from mocap.body import build_look_up_table, cones_of, load_body_model, neutral_state, scale_body
     from mocap.body.flesh import cone_distances
     from mocap.likelihood import SurfaceFitSettings, VoxelLikelihoodSettings, hull_surface
-    from mocap.pipeline.pose import PersonHull, pack_volume
+    from mocap.pipeline.pose_problem import PersonHull, pack_volume
     from mocap.volume import surface_voxels
 
     body = scale_body(load_body_model("anthropometric"), _HEIGHT_M)

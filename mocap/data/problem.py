@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -71,8 +72,14 @@ class ArticulatedProblem(Protocol):
         """A random-walk step inside the bounds.  particles : (N, D); std : (D,). Returns (N, D)."""
         ...
 
-    def log_likelihood(self, particles: Array) -> Array:
-        """Per-part log-likelihoods of particles (N, D): (N, P), or (N, 1) for a global likelihood."""
+    def log_likelihood(
+        self, particles: Array, parts: Sequence[int] | None = None, given: Sequence[int] = ()
+    ) -> Array:
+        """Per-part log-likelihoods of particles (N, D), one column per part.
+
+        parts : which parts to score, in the order of the columns; None = all, (N, P), or (N, 1) for a global
+        likelihood.  given : parts that are placed but not scored; they take up room where parts meet.
+        """
         ...
 
 

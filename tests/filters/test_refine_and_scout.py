@@ -17,7 +17,7 @@ from mocap.likelihood import (
     VoxelProblem,
     hull_surface,
 )
-from mocap.pipeline.pose import PersonHull, pack_volume
+from mocap.pipeline.pose_problem import PersonHull, pack_volume
 
 VOXEL_M = 0.02
 

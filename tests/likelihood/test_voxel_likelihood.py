@@ -21,7 +21,7 @@ from mocap.likelihood import (
 )
 from mocap.likelihood._kernels import part_scores_kernel
 from mocap.likelihood.voxels import SURFACE_MAX
-from mocap.pipeline.pose import PersonHull, pack_volume
+from mocap.pipeline.pose_problem import PersonHull, pack_volume
 
 FIELDS = ("out", "double", "occupied", "surface")
 
@@ -149,6 +149,7 @@ def test_python_twin_of_the_kernel() -> None:
         table.part,
         table.center,
         table.radius,
+        len(table.joint),
         volume.crop.reshape(-1),
         np.array(volume.crop.shape),
         volume.lower_m,

@@ -11,14 +11,11 @@ from mocap.body import landmarks_of, neutral_state
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
-from mocap.pipeline.pose import (
+from mocap.pipeline.pose import PersonPoses, estimate_height, filter_frames, follow_person
+from mocap.pipeline.pose_problem import (
     CROP_MARGIN_M,
     PersonHull,
-    PersonPoses,
     PoseTools,
-    estimate_height,
-    filter_frames,
-    follow_person,
     likelihood_settings,
     make_tools,
     pack_volume,

@@ -1,0 +1,143 @@
+"""Pose: from hulls and tracks to poses in the store."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body import scale_body
+from mocap.body.initial import HeightEstimate
+from mocap.body.model import load_body_model
+from mocap.data import Tracks
+from mocap.io.session import Session
+from mocap.io.store import StageStore
+from mocap.pipeline.config import Config
+from mocap.pipeline.pose import PersonPoses, estimate_height, follow_person
+from mocap.pipeline.pose_problem import PersonHull, make_tools
+from mocap.pipeline.stages.carve import stored_grid
+from mocap.pipeline.stages.report import Progress
+from mocap.volume import surface_voxels
+
+Array = NDArray[np.float64]
+
+
+def pose_stage(
+    session: Session,
+    config: Config,
+    store: StageStore,
+    key: str,
+    tracks: Tracks,
+    *,
+    seed: int,
+    n_threads: int,
+    progress: Progress,
+) -> list[PersonPoses]:
+    """Poses of every tracked person, one filter each, into the store.
+
+    Source: CF 6.3.3, 6.5.
+    """
+    grid = stored_grid(store)
+    hulls, owners = store.reader("carve"), store.reader("track-owners")
+    n_total = len(tracks)
+    done = 0
+    results = []
+
+    def tick(n: int) -> None:
+        nonlocal done
+        done += n
+        progress("pose", done, n_total)
+
+    for person in tracks.persons:
+        own = tracks.of(person)
+
+        @lru_cache(maxsize=8)
+        def hull_of(frame: int, person: int = person) -> PersonHull | None:
+            arrays = hulls.read(frame)
+            keep = owners.read(frame)["owner"] == person
+            if not keep.any():
+                return None
+            # Surface of the person alone, so that a neighbour does not hide a side of him.
+            voxels = arrays["voxels"][keep].astype(np.int32, copy=False)
+            return PersonHull(voxels, surface_voxels(voxels, grid))
+
+        given = config.body.height_m or session.person_height_m
+        height = (
+            HeightEstimate(given, True)
+            if given is not None
+            else estimate_height(grid, hull_of, own.frame.tolist())
+        )
+        tools = make_tools(
+            grid, session.fps, height.height_m, config.body.model, config.pose, config.likelihood, n_threads
+        )
+        results.append(
+            follow_person(person, own.frame, own.xyz, hull_of, tools, height, seed=seed, progress=tick)
+        )
+    _store_poses(store, key, config, results)
+    return results
+
+
+def _store_poses(store: StageStore, key: str, config: Config, results: list[PersonPoses]) -> None:
+    attrs = {
+        "body_model": config.body.model,
+        "persons": {
+            str(r.person): {
+                "height_m": r.height.height_m,
+                "height_is_measured": r.height.is_measured,
+                "start_frame": r.start_frame,
+                "first_pose": r.first_pose,
+                "warnings": list(r.warnings),
+            }
+            for r in results
+        },
+    }
+    rows = sorted({int(f) for r in results for f in r.frames})
+    with store.writer("pose", key, attrs) as out:
+        for frame in rows:
+            present = [(r, int(np.searchsorted(r.frames, frame))) for r in results if frame in r.frames]
+            out.append(
+                frame,
+                person=np.array([r.person for r, _ in present], dtype=np.int64),
+                state=np.array([r.states[i] for r, i in present]),
+                landmarks=np.array([r.landmarks[i] for r, i in present]),
+                covariance=np.array([r.landmark_covariance[i] for r, i in present]),
+                observed=np.array([r.observed[i] for r, i in present]),
+                log_likelihood=np.array([r.log_likelihood[i] for r, i in present]),
+                ess_share=np.array([r.ess_share[i] for r, i in present]),
+            )
+
+
+def stored_poses(store: StageStore) -> list[PersonPoses]:
+    """Poses of all persons from the store."""
+    reader = store.reader("pose")
+    model = load_body_model(reader.attrs["body_model"])
+    rows: dict[int, list[tuple[int, dict[str, NDArray[np.generic]], int]]] = {}
+    for frame, arrays in reader:
+        for i, person in enumerate(arrays["person"]):
+            rows.setdefault(int(person), []).append((frame, arrays, i))
+    results = []
+    for name, about in reader.attrs["persons"].items():
+        own = rows[int(name)]
+
+        def column(field: str, own: list = own) -> NDArray:  # type: ignore[type-arg]
+            return np.array([arrays[field][i] for _, arrays, i in own])
+
+        results.append(
+            PersonPoses(
+                person=int(name),
+                body=scale_body(model, about["height_m"]),
+                height=HeightEstimate(about["height_m"], about["height_is_measured"]),
+                frames=np.array([frame for frame, _, _ in own], dtype=np.int64),
+                states=column("state"),
+                landmarks=column("landmarks"),
+                landmark_covariance=column("covariance"),
+                observed=column("observed").astype(np.bool_),
+                log_likelihood=column("log_likelihood"),
+                ess_share=column("ess_share"),
+                start_frame=about["start_frame"],
+                first_pose=about["first_pose"],
+                warnings=tuple(about["warnings"]),
+            )
+        )
+    return results

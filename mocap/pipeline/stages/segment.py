@@ -1,0 +1,154 @@
+"""Segmentation: from pictures to foreground masks in the store."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.errors import MocapError
+from mocap.foreground import Background, ForegroundSettings, Segmenter, learn_background, median_background
+from mocap.io.session import Session
+from mocap.io.store import StageStore, StageWriter
+from mocap.io.video import FrameReader, MaskReader, iter_clip
+from mocap.pipeline.config import Config, SegmentationConfig
+from mocap.pipeline.stages.report import Progress, StageReport
+
+_UNUSABLE_SHARE = 0.1  # share of frames with unusable masks that earns a warning
+
+
+def learn_backgrounds(session: Session, config: SegmentationConfig, warnings: list[str]) -> list[Background]:
+    """One background per camera, from background/, the first frames, or the temporal median.
+
+    Raises MocapError when there is nothing to learn from, saying how to help.
+    """
+    backgrounds = []
+    n_frames = len(session.frames)
+    for camera in session.rig:
+        source = config.background
+        if source == "auto":
+            source = "clip" if camera.name in session.background_sources else "median"
+        if source == "clip":
+            if camera.name not in session.background_sources:
+                raise MocapError(
+                    "there is no clip of the empty scene",
+                    camera=camera.name,
+                    path=session.root / "background",
+                    remedy="record one, or set segmentation.background to median or first",
+                )
+            clip = iter_clip(session.background_sources[camera.name], size=camera.size, camera=camera.name)
+            background = learn_background(clip)
+        else:
+            if n_frames < 3:
+                raise MocapError(
+                    f"no background to learn from: {n_frames} frame(s) and no background/ folder",
+                    camera=camera.name,
+                    path=session.root,
+                    remedy="add pictures of the empty scene as background/CAMERA.png, or masks/CAMERA/*.png",
+                )
+            clip = iter_clip(session.image_sources[camera.name], size=camera.size, camera=camera.name)
+            clip = islice(clip, session.frames.start, session.frames.stop)
+            if source == "first":
+                background = learn_background(islice(clip, config.first_frames))
+            else:
+                step = max(1, n_frames // config.median_frames)
+                background = median_background(islice(clip, 0, None, step))
+        warnings += [f"camera {camera.name}: {w}" for w in background.warnings]
+        backgrounds.append(background)
+    if config.background in ("auto", "median"):
+        missing = [
+            c.name
+            for c in session.rig
+            if config.background == "median" or c.name not in session.background_sources
+        ]
+        if missing:
+            warnings.append(
+                f"the background of {', '.join(missing)} was learnt as the temporal median of {n_frames} frames; a "
+                "person who stays in place, or a short clip, is lost this way. Remedy: record an empty scene as "
+                "background/CAMERA.mp4"
+            )
+    return backgrounds
+
+
+def segment_stage(
+    session: Session, config: Config, store: StageStore, key: str, *, n_threads: int, progress: Progress
+) -> None:
+    """Foreground masks of every frame into the store: computed, or taken over from masks/.
+
+    Store: per frame `m0 .. mC-1`, (H, ceil(W / 8)) uint8, bits of the masks along rows in rig order; `share`
+    (C,) foreground share; `usable` (C,) bool.
+    Source: CF 2.2.3.
+    """
+    warnings: list[str] = []
+    rig, frames = session.rig, session.frames
+    n = len(frames)
+    if session.mask_sources:
+        with (
+            store.writer("segment", key, {"source": "masks"}) as out,
+            MaskReader(session.mask_sources, rig, frames) as reader,
+        ):
+            for i, (frame, masks) in enumerate(reader):
+                _append_masks(out, frame, masks, np.ones(len(rig), dtype=np.bool_))
+                progress("segment", i + 1, n)
+        return
+    backgrounds = learn_backgrounds(session, config.segmentation, warnings)
+    settings = ForegroundSettings(method=config.segmentation.method)
+    segmenters = [Segmenter(b, settings) for b in backgrounds]
+    attrs: dict[str, object] = {"source": "images", "warnings": warnings}
+    with (
+        store.writer("segment", key, attrs) as out,
+        FrameReader(session.image_sources, rig, frames) as images_of,
+        ThreadPoolExecutor(max(1, n_threads)) as pool,
+    ):
+        for i, (frame, images) in enumerate(images_of):
+            found = list(pool.map(lambda s, image: s.segment(image), segmenters, images))
+            usable = np.array([m.is_usable for m in found])
+            _append_masks(out, frame, [m.mask for m in found], usable)
+            progress("segment", i + 1, n)
+
+
+def _append_masks(
+    out: StageWriter, frame: int, masks: Sequence[NDArray[np.bool_]], usable: NDArray[np.bool_]
+) -> None:
+    packed = {f"m{c}": np.packbits(mask, axis=1) for c, mask in enumerate(masks)}
+    share = np.array([float(m.mean()) for m in masks], dtype=np.float32)
+    out.append(frame, share=share, usable=usable, **packed)
+
+
+def read_masks(store: StageStore, session: Session) -> Iterator[tuple[int, list[NDArray[np.bool_]]]]:
+    """Frames and masks, one (H, W) bool per camera in rig order, from the store."""
+    for frame, arrays in store.reader("segment"):
+        yield frame, masks_from_arrays(arrays, session)
+
+
+def masks_from_arrays(arrays: dict[str, NDArray[np.uint8]], session: Session) -> list[NDArray[np.bool_]]:
+    """Masks of one frame of the `segment` product."""
+    return [
+        np.unpackbits(arrays[f"m{c}"], axis=1, count=camera.size[0]).view(np.bool_)
+        for c, camera in enumerate(session.rig)
+    ]
+
+
+def segment_report(store: StageStore, session: Session) -> StageReport:
+    """Warnings about the masks: backgrounds that do not fit, cameras that see nothing."""
+    reader = store.reader("segment")
+    warnings = list(reader.attrs.get("warnings", []))
+    rows = [(arrays["share"], arrays["usable"]) for _, arrays in reader]
+    share, usable = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
+    for c, camera in enumerate(session.rig):
+        bad = 1.0 - usable[:, c].mean()
+        if bad > _UNUSABLE_SHARE:
+            warnings.append(
+                f"camera {camera.name}: the foreground fills most of the picture in {bad:.0%} of the frames; the "
+                "background does not fit. Remedy: record background/ with the same light and camera settings, or "
+                "give masks/"
+            )
+        if share[:, c].max() < 1e-4:
+            warnings.append(f"camera {camera.name}: no foreground in any frame")
+    return StageReport(
+        tuple(warnings),
+        {"mean_foreground_share": round(float(share.mean()), 4), "source": reader.attrs["source"]},
+    )
