@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,15 @@ class ArticulatedProblem(Protocol):
         parts : which parts to score, in the order of the columns; None = all, (N, P), or (N, 1) for a global
         likelihood.  given : parts that are placed but not scored; they take up room where parts meet.
         """
+        ...
+
+
+@runtime_checkable
+class OccupancyProblem(Protocol):
+    """A problem over voxels, which can also say how much of a part lies where there is data."""
+
+    def occupancy(self, particles: Array) -> Array:
+        """Share of every part's flesh in occupied voxels, of particles (N, D): (N, P)."""
         ...
 
 

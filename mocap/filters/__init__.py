@@ -10,27 +10,66 @@ from mocap.filters.apf import (
     initial_particles,
     sir_step,
 )
+from mocap.filters.budget import FilterSettings, settings_for
+from mocap.filters.partitioned import PartitionedSettings
+from mocap.filters.pfcr import pfcr_step
+from mocap.filters.ps import parallel_ps_step, ps_step
+from mocap.filters.psapf import PsapfSettings, psapf_step, sbapf_step
 from mocap.filters.refine import RefineInfo, RefineSettings, refine
+from mocap.filters.sbps import sbps_step
 from mocap.filters.scout import ScoutInfo, ScoutSettings, scout_limbs
+from mocap.filters.swarm import (
+    SwarmSettings,
+    apsopf_step,
+    chapsopf_step,
+    hapsopf_step,
+    hpso_step,
+    pso_step,
+)
 
 FilterStep = Callable[..., tuple[ParticleState, FilterInfo]]
 
-# Every pose filter by the name that the command line takes.
-FILTERS: dict[str, FilterStep] = {"sir": sir_step, "apf": apf_step}
+# Every pose filter by the name that the command line takes; `settings_for` makes the settings of each.
+FILTERS: dict[str, FilterStep] = {
+    "sir": sir_step,
+    "apf": apf_step,
+    "ps": ps_step,
+    "parallel-ps": parallel_ps_step,
+    "sbps": sbps_step,
+    "pfcr": pfcr_step,
+    "psapf": psapf_step,
+    "sbapf": sbapf_step,
+    "pso": pso_step,
+    "hpso": hpso_step,
+    "apsopf": apsopf_step,
+    "chapsopf": chapsopf_step,
+    "hapsopf": hapsopf_step,
+}
+
+# Those of them that need one log-likelihood for each part, so not a global one.
+PART_BY_PART = frozenset(
+    {"ps", "parallel-ps", "sbps", "pfcr", "psapf", "sbapf", "hpso", "chapsopf", "hapsopf"}
+)
 
 __all__ = [
     "FILTERS",
+    "PART_BY_PART",
     "ApfSettings",
     "FilterInfo",
+    "FilterSettings",
     "FilterStep",
     "ParticleState",
+    "PartitionedSettings",
+    "PsapfSettings",
     "RefineInfo",
     "RefineSettings",
     "ScoutInfo",
     "ScoutSettings",
+    "SwarmSettings",
     "apf_step",
     "initial_particles",
     "refine",
     "scout_limbs",
+    "settings_for",
     "sir_step",
 ]

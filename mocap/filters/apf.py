@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data.problem import ArticulatedProblem
-from mocap.filters.annealing import annealed, layer_scales, next_beta
 from mocap.filters.estimate import weighted_mean
+from mocap.filters.layers import anneal
 from mocap.filters.resampling import RESAMPLING
 from mocap.filters.weights import effective_sample_size, normalise_log_weights
 
@@ -54,6 +54,8 @@ class FilterInfo:
     estimate : (D,).  best : (D,) the particle of highest likelihood over all layers; best_log_likelihood its value.
     beta, ess : one per layer, first to run first.  n_evaluations : likelihood evaluations spent.
     is_degenerate : every weight was zero in some layer, so that the estimate rests on the noise alone.
+    seconds : wall time by kind of work ("resampling", "swapping", "likelihood", ...) in filters that measure it.
+    observed_parts : (P,) bool, the parts that data speaks for; None when the filter does not judge.
     """
 
     estimate: Array
@@ -63,6 +65,8 @@ class FilterInfo:
     ess: Array
     n_evaluations: int
     is_degenerate: bool
+    seconds: dict[str, float] = field(default_factory=dict)
+    observed_parts: NDArray[np.bool_] | None = None
 
 
 def initial_particles(problem: ArticulatedProblem, state: Array, n: int) -> ParticleState:
@@ -83,34 +87,27 @@ def apf_step(
     state : particles (M, D) of the last frame with their weights; M may differ from n_particles.
     Source: CF Alg. 3, Eq. 3.18-3.22.
     """
-    resample = RESAMPLING[settings.resampling]
-    particles, weights = state.particles, state.weights
-    n = settings.n_particles
-    betas, ess = [], []
-    best, best_ll = particles[0], -np.inf
-    is_degenerate = False
-    for scale in layer_scales(settings.n_layers, settings.alpha):
-        ancestors = resample(weights, n, rng=rng)
-        particles = problem.propagate(particles[ancestors], settings.std * scale, rng=rng)
-        log_likelihood = problem.log_likelihood(particles).sum(axis=1)
-        beta = next_beta(log_likelihood, settings.alpha)
-        weights, log_mean = normalise_log_weights(annealed(log_likelihood, beta))
-        is_degenerate |= not np.isfinite(log_mean)
-        betas.append(beta)
-        ess.append(effective_sample_size(weights))
-        top = int(np.argmax(np.nan_to_num(log_likelihood, nan=-np.inf)))
-        if log_likelihood[top] > best_ll:
-            best, best_ll = particles[top].copy(), float(log_likelihood[top])
-    info = FilterInfo(
-        estimate=weighted_mean(particles, weights, problem.layout.is_circular),
-        best=best,
-        best_log_likelihood=best_ll,
-        beta=np.array(betas),
-        ess=np.array(ess),
-        n_evaluations=n * settings.n_layers,
-        is_degenerate=is_degenerate,
+    layers = anneal(
+        problem,
+        state.particles,
+        state.weights,
+        n_particles=settings.n_particles,
+        n_layers=settings.n_layers,
+        std=settings.std,
+        alpha=settings.alpha,
+        resampling=settings.resampling,
+        rng=rng,
     )
-    return ParticleState(particles, weights), info
+    info = FilterInfo(
+        estimate=weighted_mean(layers.particles, layers.weights, problem.layout.is_circular),
+        best=layers.best,
+        best_log_likelihood=layers.best_log_likelihood,
+        beta=layers.beta,
+        ess=layers.ess,
+        n_evaluations=settings.n_particles * settings.n_layers,
+        is_degenerate=layers.is_degenerate,
+    )
+    return ParticleState(layers.particles, layers.weights), info
 
 
 def sir_step(

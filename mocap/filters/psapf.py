@@ -1,0 +1,78 @@
+"""Annealing inside partitioned sampling: PSAPF (what XN calls APF) and, with swapping, SBAPF."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap.data.problem import ArticulatedProblem
+from mocap.filters.apf import FilterInfo, ParticleState
+from mocap.filters.partitioned import PartitionedSettings, partitioned_step
+from mocap.filters.parts import part_sets
+from mocap.filters.sbps import swap_parts
+
+
+@dataclass(frozen=True, eq=False)
+class PsapfSettings(PartitionedSettings):
+    """Settings of partitioned sampling with annealing inside every set of parts.
+
+    n_layers : times that a part is propagated and scored, each with n_particles. The last is not annealed; XN leaves it
+    out of the count.
+    """
+
+    n_layers: int = 2
+    alpha: float = 0.5
+    """Survival rate of every annealed layer, and the factor on the noise covariance from layer to layer."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.n_layers < 1:
+            raise ValueError(f"n_layers must be at least 1, got {self.n_layers}")
+        if not 0 < self.alpha < 1:
+            raise ValueError(f"alpha must lie in (0, 1), got {self.alpha}")
+
+
+def psapf_step(
+    problem: ArticulatedProblem,
+    state: ParticleState,
+    settings: PsapfSettings,
+    *,
+    rng: np.random.Generator,
+) -> tuple[ParticleState, FilterInfo]:
+    """One frame of an annealed particle filter for every part, in the order of the layout.
+
+    Source: XN 3.2.4 and 4.4.2, XN Alg. 3.3 inside XN Alg. 3.1.
+    """
+    return partitioned_step(
+        problem,
+        state,
+        settings,
+        [[part] for part in range(problem.layout.n_parts)],
+        rng=rng,
+        n_layers=settings.n_layers,
+        alpha=settings.alpha,
+    )
+
+
+def sbapf_step(
+    problem: ArticulatedProblem,
+    state: ParticleState,
+    settings: PsapfSettings,
+    *,
+    rng: np.random.Generator,
+) -> tuple[ParticleState, FilterInfo]:
+    """One frame of an annealed particle filter for every set P_j, with one swap after its layers.
+
+    Source: XN 4.4.2.
+    """
+    return partitioned_step(
+        problem,
+        state,
+        settings,
+        part_sets(problem.layout),
+        rng=rng,
+        recombination=swap_parts,
+        n_layers=settings.n_layers,
+        alpha=settings.alpha,
+    )
