@@ -1,5 +1,38 @@
 """How well a pose explains the data of a frame; all give per-part log-likelihoods."""
 
+from mocap.likelihood.combine import SumProblem
+from mocap.likelihood.fast import fast_part_scores
+from mocap.likelihood.marker_bundle import Bundle, BundleSettings, bundle_markers
+from mocap.likelihood.markers import (
+    MarkerFitProblem,
+    MarkerFitSettings,
+    MarkerLikelihoodSettings,
+    MarkerObservation,
+    MarkerProblem,
+    MarkerViews,
+    Matches,
+    marker_scores_numpy,
+    marker_views,
+    observe,
+    undistort,
+)
+from mocap.likelihood.outlines import (
+    OutlineFitSettings,
+    OutlineProblem,
+    Outlines,
+    PinholeView,
+    person_outlines,
+    pinhole_view,
+)
+from mocap.likelihood.polygons import (
+    PolygonLikelihoodSettings,
+    PolygonProblem,
+    colour_bins,
+    part_histograms,
+    polygon_scores,
+    polygon_scores_numpy,
+    random_walk_std,
+)
 from mocap.likelihood.problem import VoxelProblem
 from mocap.likelihood.surface import HullSurface, SurfaceFitSettings, SurfaceProblem, hull_surface
 from mocap.likelihood.voxels import (
@@ -13,16 +46,45 @@ from mocap.likelihood.voxels import (
 )
 
 __all__ = [
+    "Bundle",
+    "BundleSettings",
     "HullSurface",
+    "MarkerFitProblem",
+    "MarkerFitSettings",
+    "MarkerLikelihoodSettings",
+    "MarkerObservation",
+    "MarkerProblem",
+    "MarkerViews",
+    "Matches",
+    "OutlineFitSettings",
+    "OutlineProblem",
+    "Outlines",
     "PackedVolume",
     "PartScores",
+    "PinholeView",
+    "PolygonLikelihoodSettings",
+    "PolygonProblem",
+    "SumProblem",
     "SurfaceFitSettings",
     "SurfaceProblem",
     "VoxelLikelihoodSettings",
     "VoxelProblem",
+    "bundle_markers",
+    "colour_bins",
     "factorised_log_likelihood",
+    "fast_part_scores",
     "global_log_likelihood",
     "hull_surface",
+    "marker_scores_numpy",
+    "marker_views",
+    "observe",
+    "part_histograms",
     "part_scores",
     "part_scores_numpy",
+    "person_outlines",
+    "pinhole_view",
+    "polygon_scores",
+    "polygon_scores_numpy",
+    "random_walk_std",
+    "undistort",
 ]

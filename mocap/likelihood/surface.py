@@ -81,6 +81,16 @@ def hull_surface(
     return HullSurface(grid.centers(surface), normals, volume)
 
 
+def flesh_sample(table: LookUpTable, n: int) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """About n surface points of the flesh, evenly spread: (M, 3) m in joint frames, their joints and parts (M,)."""
+    rows = np.concatenate([a + np.arange(k) for a, k in zip(table.start[:-1], table.n_surface, strict=True)])
+    joints = np.repeat(table.joint, table.n_surface)
+    parts = np.repeat(table.part, table.n_surface)
+    # A stride that is coprime to lattice rows would do; a fixed permutation is simpler and as even.
+    chosen = np.sort(np.random.default_rng(0).permutation(len(rows))[:n])
+    return table.points[rows[chosen]].astype(np.float64), joints[chosen], parts[chosen]
+
+
 def dof_moves_joint(body: Body) -> NDArray[np.bool_]:
     """Which rotations move which joint frame, (J, n_dofs)."""
     moves = np.zeros((len(body.joints), len(body.dof_joint)), dtype=np.bool_)
@@ -115,16 +125,9 @@ class SurfaceProblem:
     def __post_init__(self) -> None:
         every = max(1, len(self.hull.points) // self.settings.n_hull_points)
         table = self.table
-        rows = np.concatenate(
-            [a + np.arange(n) for a, n in zip(table.start[:-1], table.n_surface, strict=True)]
-        )
-        joints = np.repeat(table.joint, table.n_surface)
-        parts = np.repeat(table.part, table.n_surface)
-        # A stride that is coprime to lattice rows would do; a fixed permutation is simpler and as even.
-        chosen = np.sort(np.random.default_rng(0).permutation(len(rows))[: self.settings.n_flesh_points])
-        flesh, joint = table.points[rows[chosen]].astype(np.float64), joints[chosen]
+        flesh, joint, part = flesh_sample(table, self.settings.n_flesh_points)
         for name, value in (
-            ("_may_meet", _parts_apart_at_rest(self.body, flesh, joint, parts[chosen])),
+            ("_may_meet", _parts_apart_at_rest(self.body, flesh, joint, part)),
             ("_moves", dof_moves_joint(self.body)),
             ("_points", np.ascontiguousarray(self.hull.points[::every])),
             ("_normals", np.ascontiguousarray(self.hull.normals[::every])),

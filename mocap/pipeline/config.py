@@ -60,11 +60,19 @@ class BodyConfig(_Section):
     """A preset (`anthropometric`, `thesis`) or a body file."""
     height_m: float | None = Field(default=None, gt=0.3, lt=2.6)
     """Standing height; the session's value or the volume decides when absent."""
+    marker_set: str = "markers_20"
+    """Where markers sit: a set that comes with the package, or a file (docs/markers.md)."""
+    marker_offsets: Literal["fit", "given"] = "fit"
+    """Fit marker offsets and segment lengths to the person, or take them as the set and the body give them."""
 
 
 class LikelihoodConfig(_Section):
     """Voxel likelihood (CF 6.5)."""
 
+    kind: Literal["exact", "fast"] = "exact"
+    """All points of the body's look-up table, or a sample of them and overlaps from tables: a third of the time."""
+    n_points: int = Field(default=200, ge=20, le=5000)
+    """Points per part of the fast kind."""
     factorised: bool = True
     """Per-part likelihoods (CF 6.23); false = one global likelihood (CF 6.21)."""
     variance_out: float = Field(default=0.01, gt=0)
@@ -88,7 +96,7 @@ class PoseConfig(_Section):
     """Particles per layer. Source: CF 6.7.2."""
     survival_rate: float = Field(default=0.5, gt=0, lt=1)
     """Target ESS / N of every layer. Source: CF 3.2.2."""
-    resampling: Literal["systematic", "stratified", "multinomial"] = "systematic"
+    resampling: Literal["systematic", "stratified", "multinomial", "residual", "weighted"] = "systematic"
     noise_scale: float = Field(default=1.0, gt=0)
     """Factor on the propagation noise, which is half of the body's largest expected speed per frame."""
     follow_track: bool = True
@@ -99,14 +107,50 @@ class PoseConfig(_Section):
     """Spacing of the body's look-up table over the voxel side. Source: CF Eq. 6.26."""
     refine: bool = True
     """Second-order refinement of every estimate on the hull's surface; false = the published filter alone."""
+    surface_weight: float = Field(default=1.0, ge=0)
+    """Weight of the hull's surface in refinement and evidence."""
+    outline_weight: float = Field(default=1.0, ge=0)
+    """Weight of the silhouettes' outlines in refinement and evidence; 0 = without."""
     feedback_share: float = Field(default=0.5, ge=0, lt=1)
     """Share of the particles that take over the refined pose."""
     scouts: bool = True
     """Search anew for limbs that fit badly, over their whole range; false = the published filter alone."""
+    jump_nats: float = Field(default=0.0, ge=0)
+    """Most that a landmark which moves faster than people do may cost a limb that was searched for anew; 0 = jumps are
+    free."""
     n_start_frames: int = Field(default=3, ge=1)
     """Frames of the first two seconds in which the first pose is looked for."""
     n_first_poses: int = Field(default=8, ge=1)
     """Candidates that are followed to the end in each of them; four times as many are followed briefly."""
+
+
+class MarkersConfig(_Section):
+    """Marker observation (CF 6.4)."""
+
+    gate_px: float = Field(default=12.0, gt=0)
+    """The filter takes no detection for a marker that is further from its projection (rho of CF 6.4.1.2)."""
+    reprojection_weight: float = Field(default=1.0, ge=0, le=1)
+    """Share of the reprojection term in the filter's score; 0 = the printed cost, epipolar distances alone."""
+    sigma: float = Field(default=1.0, gt=0)
+    """Source: CF Eq. 6.10."""
+    factorised: bool = True
+    """Per-part likelihoods; false = one mean over all markers, as printed."""
+    noise_px: float = Field(default=2.0, gt=0)
+    """Standard deviation of a detection; the refinement weighs detections and judges agreement by it."""
+    n_hypotheses: int = Field(default=3, ge=1, le=16)
+    """Poses that are followed side by side until one of them costs less; 1 = the best one only."""
+    fit_frames: int = Field(default=30, ge=5)
+    """Frames, spread over the clip, that marker offsets and segment lengths are fitted to."""
+    smooth: bool = True
+    """Smooth the poses over time; every frame counts by its own uncertainty."""
+    mahalanobis: float = Field(default=3.0, gt=0)
+    """Gate of the colour detector: distance of a pixel's colour from the learnt one. Source: CF 6.6.2."""
+    label_radius_px: float = Field(default=2.0, gt=0)
+    """Pixels around a labelled point that the colour is learnt from."""
+    min_area_px: int = Field(default=3, ge=1)
+    """Smallest patch of marker colour that is a detection."""
+    max_area_px: int = Field(default=400, ge=1)
+    """Largest one."""
 
 
 class OutputConfig(_Section):
@@ -128,12 +172,15 @@ class OutputConfig(_Section):
 class Config(_Section):
     """Everything that decides a result besides the input and the seed."""
 
+    observation: Literal["auto", "voxels", "markers"] = "auto"
+    """What poses are found from; `auto` = markers in a session that has detections/, else voxels."""
     segmentation: SegmentationConfig = SegmentationConfig()
     volume: VolumeConfig = VolumeConfig()
     tracking: TrackingConfig = TrackingConfig()
     body: BodyConfig = BodyConfig()
     likelihood: LikelihoodConfig = LikelihoodConfig()
     pose: PoseConfig = PoseConfig()
+    markers: MarkersConfig = MarkersConfig()
     output: OutputConfig = OutputConfig()
 
 
@@ -184,7 +231,8 @@ def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Conf
 def _apply_setting(values: dict[str, Any], setting: str) -> None:
     key, sep, text = setting.partition("=")
     parts = key.strip().split(".")
-    if not sep or len(parts) < 2 or not all(parts):
+    is_plain = key.strip() == "observation"  # the one key outside a section
+    if not sep or not all(parts) or (len(parts) < 2 and not is_plain):
         raise MocapError(f"cannot read the setting {setting!r}", remedy="write it as --set section.key=value")
     try:
         value: Any = tomllib.loads(f"value = {text.strip()}")["value"]

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, candidate_states
-from mocap.filters import ApfSettings, ParticleState, apf_step, initial_particles, refine
-from mocap.likelihood import SurfaceFitSettings, SurfaceProblem, VoxelProblem
+from mocap.filters import ApfSettings, ParticleState, apf_step, initial_particles
 from mocap.pipeline.limbs import recover_limbs
-from mocap.pipeline.pose_problem import PersonHull, PoseTools, surface_nats
+from mocap.pipeline.pose_problem import FrameProblem, PersonHull, PoseTools
 
 Array = NDArray[np.float64]
 
@@ -48,14 +47,8 @@ class PoseSearch:
     walking_xy: Array | None
 
     @cached_property
-    def problems(self) -> tuple[VoxelProblem, SurfaceProblem]:
-        return self.tools.problems(self.hull)
-
-    @cached_property
-    def coarse(self) -> SurfaceProblem:
-        """A cheap surface problem for brief attempts."""
-        settings = SurfaceFitSettings(n_hull_points=400, n_flesh_points=150)
-        return SurfaceProblem(self.tools.body, self.tools.table, self.problems[1].hull, settings)
+    def problem(self) -> FrameProblem:
+        return self.tools.frame(self.hull)
 
     @property
     def heading(self) -> float | None:
@@ -71,7 +64,7 @@ class PoseSearch:
 
     def score(self, states: Array) -> Array:
         """Log-likelihood of states (N, D) with the prior on the direction, (N,)."""
-        value = self.problems[0].log_likelihood(states).sum(axis=1)
+        value = self.problem.log_likelihood(states)
         yaw, heading = yaw_column(self.tools.body), self.heading
         if yaw is not None and heading is not None:
             value -= _FACING_NATS * (1.0 - np.cos(states[:, yaw] - heading))
@@ -79,14 +72,11 @@ class PoseSearch:
 
     def judge(self, states: Sequence[Array]) -> Array:
         """The evidence of states with the prior on the direction, (K,) nats."""
-        return self.score(np.stack(states)) - surface_nats(self.problems[1], states)
+        return self.score(np.stack(states)) - self.problem.misfit(states)
 
     def with_limbs_recovered(self, found: FirstPose, *, rng: np.random.Generator) -> FirstPose:
         """The same pose after scouts have looked for limbs that fit badly or that the hull shows elsewhere."""
-        problem, surface = self.problems
-        state = recover_limbs(
-            self.tools, problem, surface, found.state, look_at_hull=True, max_limbs=4, rng=rng
-        )
+        state = recover_limbs(self.problem, found.state, look_at_hull=True, max_limbs=4, rng=rng)
         value = float(self.judge([state])[0])
         return FirstPose(found.frame, state, found.label, value) if value > found.log_likelihood else found
 
@@ -100,13 +90,10 @@ class PoseSearch:
         rng: np.random.Generator,
     ) -> FirstPose:
         """A short filter from some particles, refined."""
-        problem, surface = self.problems
-        _, info = apf_step(problem, start, settings, rng=rng)
-        if is_brief:
-            surface = self.coarse
-        refining = self.tools.refine_settings(5 if is_brief else 12)
-        found = [info.estimate, refine(surface, info.estimate, refining)[0]]
-        values = self.score(np.stack(found)) - surface_nats(surface, found)
+        problem = self.problem.coarse if is_brief else self.problem
+        _, info = apf_step(problem.voxels, start, settings, rng=rng)
+        found = [info.estimate, problem.refined(info.estimate, 5 if is_brief else 12)]
+        values = self.score(np.stack(found)) - problem.misfit(found)
         top = int(values.argmax())
         return FirstPose(self.frame, found[top], label, float(values[top]))
 
@@ -121,7 +108,7 @@ def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[Fir
     centers = search.tools.grid.centers(search.hull.voxels)
     candidates, labels = candidate_states(body, centers, yaws)
     copies = np.repeat(candidates, _SEARCH_COPIES, axis=0)
-    copies = search.problems[0].propagate(copies, search.std, rng=rng)
+    copies = search.problem.voxels.propagate(copies, search.std, rng=rng)
     copies[::_SEARCH_COPIES] = candidates
     value = search.score(copies).reshape(len(candidates), _SEARCH_COPIES)
     copies = copies.reshape(len(candidates), _SEARCH_COPIES, -1)
@@ -145,7 +132,7 @@ def settle_first_poses(
         behind = [f for f in tried if np.cos(f.state[yaw] - tried[0].state[yaw]) < 0]
         chosen += [f for f in behind[:3] if f not in chosen]
     thorough = ApfSettings(n_layers=8, n_particles=200, std=search.std, alpha=0.6)
-    problem = search.problems[0]
+    problem = search.problem.voxels
     found = [
         search.attempt(initial_particles(problem, f.state, 2), f.label, thorough, is_brief=False, rng=rng)
         for f in chosen

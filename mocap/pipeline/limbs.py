@@ -2,28 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body import Body, joint_transforms
-from mocap.filters import ScoutSettings, refine, scout_limbs
-from mocap.likelihood import SurfaceFitSettings, SurfaceProblem, VoxelProblem
-from mocap.pipeline.pose_problem import NATS_PER_M2, PoseTools, evidence
+from mocap.body import Body, joint_transforms, landmarks_of
+from mocap.filters import ScoutSettings, scout_limbs
+from mocap.likelihood import SurfaceFitSettings
+from mocap.pipeline.pose_problem import NATS_PER_M2, FrameProblem, PoseTools
 
 Array = NDArray[np.float64]
 
 _UNEXPLAINED_M = 0.05
 _UNEXPLAINED_SHARE = 0.025  # of the hull's surface points; loose clothes reach 0.01, a lost forearm 0.04
 _SCOUT_ZEAL = 4.0
+_FREE_SPEED_M_S = 4.0
+_JUMP_M = 0.25  # a jump by this much beyond the free speed costs all that a jump can cost
+
+
+def jump_nats(tools: PoseTools, states: Sequence[Array], previous: Array | None) -> Array:
+    """What it costs K states (D,) to have moved further since the pose before, `previous`, than people do, (K,) nats.
+
+    No landmark may cost more than `pose.jump_nats`, so that a limb which was lost can come back.
+    """
+    if previous is None or tools.pose.jump_nats == 0:
+        return np.zeros(len(states))
+    moved = landmarks_of(tools.body, np.stack(list(states))) - landmarks_of(tools.body, previous[None])
+    excess = np.linalg.norm(moved, axis=2) - _FREE_SPEED_M_S / tools.fps
+    return tools.pose.jump_nats * np.clip(excess / _JUMP_M, 0.0, 1.0).sum(axis=1)
 
 
 def recover_limbs(
-    tools: PoseTools,
-    problem: VoxelProblem,
-    surface: SurfaceProblem,
+    frame: FrameProblem,
     state: Array,
+    previous: Array | None = None,
     *,
     look_at_hull: bool,
     max_limbs: int,
@@ -32,19 +46,20 @@ def recover_limbs(
     """A state (D,) with limbs searched for anew that fit badly or leave a piece of the hull unexplained.
 
     look_at_hull : also search when much of the hull's surface is unexplained though every limb fits. The state comes
-    back unchanged unless the evidence grows.
+    back unchanged unless the evidence grows, less the cost of a jump from the pose before (`jump_nats`).
     """
     settings = ScoutSettings(max_limbs=max_limbs)
+    surface = frame.surface
     lost = surface.unexplained(state, _UNEXPLAINED_M)
     bonus = None
     if look_at_hull and len(lost) > _UNEXPLAINED_SHARE * surface.n_points:
-        bonus = partial(_explained_nats, tools.body, lost, len(lost) / surface.n_points)
-    found, scouted = scout_limbs(problem, state, settings, rng=rng, bonus=bonus)
+        bonus = partial(_explained_nats, frame.tools.body, lost, len(lost) / surface.n_points)
+    found, scouted = scout_limbs(frame.voxels, state, settings, rng=rng, bonus=bonus)
     if not scouted.accepted:
         return state
-    refined, _ = refine(surface, found, tools.refine_settings())
-    candidates = [state, found, refined]
-    return candidates[int(evidence(problem, surface, candidates).argmax())]
+    candidates = [state, found, frame.refined(found)]
+    worth = frame.evidence(candidates) - jump_nats(frame.tools, candidates, previous)
+    return candidates[int(worth.argmax())]
 
 
 def _explained_nats(body: Body, lost: Array, lost_share: float, particles: Array, limb: list[int]) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mocap.body import Body, head_top, height_from_tops, landmarks_of
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, VoxelGrid
-from mocap.filters import FILTERS, ApfSettings, ParticleState, initial_particles, refine
+from mocap.filters import FILTERS, ParticleState, initial_particles, settings_for
 from mocap.likelihood import part_scores
 from mocap.pipeline.first_pose import (
     FirstPose,
@@ -21,7 +21,7 @@ from mocap.pipeline.first_pose import (
     walking_velocity,
 )
 from mocap.pipeline.limbs import recover_limbs
-from mocap.pipeline.pose_problem import MIN_VOXELS, HullOf, PoseTools, evidence, is_usable
+from mocap.pipeline.pose_problem import MIN_VOXELS, HullOf, PoseTools, is_usable
 from mocap.pipeline.rescue import Rescue, rescue_pose
 from mocap.pipeline.rng import rng_for
 
@@ -104,10 +104,12 @@ def filter_frames(
     and observed = False.
     """
     step = FILTERS[tools.pose.filter]
-    settings = ApfSettings(
-        n_layers=tools.pose.n_layers,
-        n_particles=tools.pose.n_particles,
+    settings = settings_for(
+        tools.pose.filter,
+        layout=tools.body.layout,
         std=tools.noise_std,
+        n_particles=tools.pose.n_particles,
+        n_layers=tools.pose.n_layers,
         alpha=tools.pose.survival_rate,
         resampling=tools.pose.resampling,
     )
@@ -133,7 +135,8 @@ def filter_frames(
                 ess_share=float("nan"),
             )
             continue
-        problem, surface = tools.problems(hull)
+        frame = tools.frame(hull)
+        problem = frame.voxels
         if particles is None:
             particles = initial_particles(problem, estimate, settings.n_particles)
         if tools.pose.follow_track:
@@ -141,32 +144,30 @@ def filter_frames(
             moved[:, :3] += xyz[i] - last_xyz
             particles = ParticleState(moved, particles.weights)
         last_xyz = xyz[i]
+        previous = None if blind_std > 0 else estimate
         blind_std = 0.0
         rng = rng_for(seed, stage, person, int(frames[i]))
         particles, info = step(problem, particles, settings, rng=rng)
         spread = _landmark_covariance(tools.body, particles, info.estimate)
         estimate = info.estimate
         if tools.pose.refine:
-            refined, _ = refine(surface, info.estimate, tools.refine_settings())
-            candidates = [info.estimate, refined]
-            estimate = candidates[int(evidence(problem, surface, candidates).argmax())]
+            estimate = frame.best([estimate, frame.refined(estimate)])
         if tools.pose.scouts:
             estimate = recover_limbs(
-                tools,
-                problem,
-                surface,
+                frame,
                 estimate,
+                previous,
                 look_at_hull=int(frames[i]) % _LOOK_EVERY == 0,
                 max_limbs=3,
                 rng=rng,
             )
-        value = float(evidence(problem, surface, [estimate])[0])
+        value = float(frame.evidence([estimate])[0])
         if tools.pose.scouts and rescue.is_due(i, value):
             search = PoseSearch(tools, hull, int(frames[i]), walking_velocity(frames, xyz, i, tools.fps))
             saved = rescue_pose(search, estimate, rescue.best_state, rng=rng)
             lost_judged, saved_judged = search.judge([estimate, saved])
             if rescue.settle(i, lost_judged, saved_judged):
-                estimate, value = saved, float(evidence(problem, surface, [saved])[0])
+                estimate, value = saved, float(frame.evidence([saved])[0])
                 particles = initial_particles(problem, estimate, settings.n_particles)
         rescue.note(estimate, value)
         if tools.pose.refine or tools.pose.scouts:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, LookUpTable, load_body_model, scale_body
 from mocap.data import VoxelGrid
-from mocap.filters import RefineSettings
+from mocap.data.problem import ResidualProblem
+from mocap.filters import RefineSettings, refine
 from mocap.likelihood import (
+    OutlineFitSettings,
+    OutlineProblem,
+    Outlines,
     PackedVolume,
+    SumProblem,
     SurfaceFitSettings,
     SurfaceProblem,
     VoxelLikelihoodSettings,
@@ -32,10 +38,14 @@ NATS_PER_M2 = 90_000.0
 
 @dataclass(frozen=True, eq=False)
 class PersonHull:
-    """The voxels of one person in one frame.  voxels : (N,) int32 ascending.  is_surface : (N,) bool."""
+    """The voxels of one person in one frame.  voxels : (N,) int32 ascending.  is_surface : (N,) bool.
+
+    outlines : makes the person's outlines in the cameras, or None where there are no masks.
+    """
 
     voxels: NDArray[np.int32]
     is_surface: NDArray[np.bool_]
+    outlines: Callable[[], Outlines] | None = None
 
 
 HullOf = Callable[[int], PersonHull | None]
@@ -62,6 +72,7 @@ class PoseTools:
     pose: PoseConfig
     likelihood: VoxelLikelihoodSettings
     fit: SurfaceFitSettings
+    outline_fit: OutlineFitSettings
     n_threads: int
 
     @property
@@ -74,13 +85,69 @@ class PoseTools:
         is_position = np.arange(self.body.layout.n_columns) < 3
         return RefineSettings(prior_std=np.where(is_position, 0.1, 0.5), n_iterations=n_iterations)
 
-    def problems(self, hull: PersonHull) -> tuple[VoxelProblem, SurfaceProblem]:
+    def frame(self, hull: PersonHull) -> FrameProblem:
+        """What poses are judged by in the frame of a hull."""
         volume = pack_volume(self.grid, hull, self.pose.surface_sigma_voxels)
         surface = hull_surface(hull.voxels, hull.is_surface, self.grid, volume)
-        return (
-            VoxelProblem(self.body, self.table, volume, self.likelihood, n_threads=self.n_threads),
-            SurfaceProblem(self.body, self.table, surface, self.fit),
+        with_outlines = hull.outlines is not None and self.pose.outline_weight > 0
+        outlines = hull.outlines() if hull.outlines is not None and with_outlines else None
+        return FrameProblem(
+            tools=self,
+            voxels=VoxelProblem(self.body, self.table, volume, self.likelihood, n_threads=self.n_threads),
+            surface=SurfaceProblem(self.body, self.table, surface, self.fit),
+            outlines=None
+            if outlines is None
+            else OutlineProblem(self.body, self.table, outlines, self.outline_fit),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class FrameProblem:
+    """One person in one frame: the likelihood, which asks whether the body lies in the hull, and the residuals, which
+    ask whether hull and outlines are explained by the body.
+    """
+
+    tools: PoseTools
+    voxels: VoxelProblem
+    surface: SurfaceProblem
+    outlines: OutlineProblem | None
+
+    @cached_property
+    def fit(self) -> SumProblem:
+        """The residuals of hull surface and outlines together, per hull point."""
+        terms: list[tuple[float, ResidualProblem]] = [(self.tools.pose.surface_weight, self.surface)]
+        if self.outlines is not None and self.outlines.n_points:
+            share = self.surface.n_points / self.outlines.n_points
+            terms.append((self.tools.pose.outline_weight * share, self.outlines))
+        return SumProblem(tuple(terms))
+
+    @cached_property
+    def coarse(self) -> FrameProblem:
+        """The same with fewer hull points and without outlines, for brief attempts."""
+        settings = replace(self.tools.fit, n_hull_points=400, n_flesh_points=150)
+        surface = SurfaceProblem(self.surface.body, self.surface.table, self.surface.hull, settings)
+        return replace(self, surface=surface, outlines=None)
+
+    def log_likelihood(self, states: Sequence[Array] | Array) -> Array:
+        """Log-likelihood of K states, (K,)."""
+        return self.voxels.log_likelihood(np.stack(list(states))).sum(axis=1)
+
+    def misfit(self, states: Sequence[Array] | Array) -> Array:
+        """The residuals' cost of K states in nats, (K,), whatever the number of points."""
+        cost = np.array([self.fit.normal_equations(s)[0] for s in states])
+        return NATS_PER_M2 * cost / max(self.surface.n_points, 1)
+
+    def evidence(self, states: Sequence[Array] | Array) -> Array:
+        """How well K states explain the frame, (K,), nats."""
+        return self.log_likelihood(states) - self.misfit(states)
+
+    def best(self, states: Sequence[Array]) -> Array:
+        """The state of highest evidence."""
+        return states[int(self.evidence(states).argmax())]
+
+    def refined(self, state: Array, n_iterations: int = 12) -> Array:
+        """A state (D,) moved to a nearby minimum of the residuals."""
+        return refine(self.fit, state, self.tools.refine_settings(n_iterations))[0]
 
 
 def make_tools(
@@ -104,6 +171,7 @@ def make_tools(
         pose=pose,
         likelihood=likelihood_settings(likelihood),
         fit=SurfaceFitSettings(),
+        outline_fit=OutlineFitSettings(),
         n_threads=n_threads,
     )
 
@@ -116,21 +184,9 @@ def likelihood_settings(config: LikelihoodConfig) -> VoxelLikelihoodSettings:
         variance_empty=config.variance_empty,
         variance_surface=config.variance_surface,
         factorised=config.factorised,
+        kind=config.kind,
+        n_points=config.n_points,
     )
-
-
-def evidence(problem: VoxelProblem, surface: SurfaceProblem, states: Sequence[Array]) -> Array:
-    """How well states explain the hull, (K,): the likelihood asks whether the body lies in the hull, the surface
-    whether the hull is explained by the body. In nats.
-    """
-    inside = problem.log_likelihood(np.stack(states)).sum(axis=1)
-    return inside - surface_nats(surface, states)
-
-
-def surface_nats(surface: SurfaceProblem, states: Sequence[Array]) -> Array:
-    """The surface cost of states in nats, (K,), whatever the number of hull points."""
-    cost = np.array([surface.normal_equations(s)[0] for s in states])
-    return NATS_PER_M2 * cost / max(surface.n_points, 1)
 
 
 def is_usable(hull: PersonHull | None) -> bool:

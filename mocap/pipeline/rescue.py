@@ -73,7 +73,7 @@ def rescue_pose(search: PoseSearch, state: Array, good: Array | None, *, rng: np
         if yaw is not None:
             moved[yaw] = facing
         states.append(moved)
-    problem = search.problems[0]
+    problem = search.problem.voxels
     brief = ApfSettings(n_layers=4, n_particles=80, std=0.5 * search.std, alpha=0.5)
     thorough = ApfSettings(n_layers=6, n_particles=200, std=0.5 * search.std, alpha=0.6)
     tried = [

@@ -13,11 +13,13 @@ from mocap.body.model import load_body_model
 from mocap.data import Tracks
 from mocap.io.session import Session
 from mocap.io.store import StageStore
+from mocap.likelihood import OutlineFitSettings, Outlines, person_outlines, pinhole_view
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose import PersonPoses, estimate_height, follow_person
 from mocap.pipeline.pose_problem import PersonHull, make_tools
 from mocap.pipeline.stages.carve import stored_grid
 from mocap.pipeline.stages.report import Progress
+from mocap.pipeline.stages.segment import masks_from_arrays
 from mocap.volume import surface_voxels
 
 Array = NDArray[np.float64]
@@ -34,12 +36,28 @@ def pose_stage(
     n_threads: int,
     progress: Progress,
 ) -> list[PersonPoses]:
-    """Poses of every tracked person, one filter each, into the store.
+    """Poses of every tracked person into the store.  Source: CF 6.3.3, 6.5."""
+    results = estimate_poses(
+        session, config, store, tracks, seed=seed, n_threads=n_threads, progress=progress
+    )
+    _store_poses(store, key, config, results)
+    return results
 
-    Source: CF 6.3.3, 6.5.
-    """
+
+def estimate_poses(
+    session: Session,
+    config: Config,
+    store: StageStore,
+    tracks: Tracks,
+    *,
+    seed: int,
+    n_threads: int,
+    progress: Progress,
+) -> list[PersonPoses]:
+    """Poses of every tracked person, one filter each, from the products of the earlier stages in the store."""
     grid = stored_grid(store)
-    hulls, owners = store.reader("carve"), store.reader("track-owners")
+    hulls, owners, segments = store.reader("carve"), store.reader("track-owners"), store.reader("segment")
+    views = [pinhole_view(camera) for camera in session.rig]
     n_total = len(tracks)
     done = 0
     results = []
@@ -55,12 +73,29 @@ def pose_stage(
         @lru_cache(maxsize=8)
         def hull_of(frame: int, person: int = person) -> PersonHull | None:
             arrays = hulls.read(frame)
-            keep = owners.read(frame)["owner"] == person
+            owner = owners.read(frame)["owner"]
+            keep = owner == person
             if not keep.any():
                 return None
             # Surface of the person alone, so that a neighbour does not hide a side of him.
             voxels = arrays["voxels"][keep].astype(np.int32, copy=False)
-            return PersonHull(voxels, surface_voxels(voxels, grid))
+            is_surface = surface_voxels(voxels, grid)
+            others = arrays["voxels"][(owner > 0) & ~keep & arrays["is_surface"].astype(np.bool_)]
+
+            @lru_cache(maxsize=1)
+            def outlines() -> Outlines:
+                found = segments.read(frame)
+                return person_outlines(
+                    views,
+                    session.rig,
+                    masks_from_arrays(found, session),
+                    grid.centers(voxels[is_surface]),
+                    grid.centers(others.astype(np.int32)),
+                    n_points=OutlineFitSettings().n_outline_points,
+                    is_whole=found["usable"],
+                )
+
+            return PersonHull(voxels, is_surface, outlines)
 
         given = config.body.height_m or session.person_height_m
         height = (
@@ -74,7 +109,6 @@ def pose_stage(
         results.append(
             follow_person(person, own.frame, own.xyz, hull_of, tools, height, seed=seed, progress=tick)
         )
-    _store_poses(store, key, config, results)
     return results
 
 

@@ -1,0 +1,166 @@
+"""What each part of the default pose mode contributes: variants of its settings over sessions and seeds.
+
+    python -m eval.pose_ablation [--only dev:walk,walk] [--variants default,no_outlines] [--seeds 3] [--work out/eval]
+
+Masks, volumes and tracks are made once per session; only the pose stage runs again. Writes one line per run to
+eval/results/pose_ablation.csv (existing lines are kept and not run again) and prints the means. Development sessions
+only: nothing is chosen on the held-out scenes of `eval.pose_sessions`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+from eval.pose_sessions import DEV, ROOT
+
+RESULTS = ROOT / "eval" / "results" / "pose_ablation.csv"
+SCENES = ("walk", "box", "gesture")
+DEV_SESSIONS = ("walk", "reach", "cross", "room")
+VARIANTS: dict[str, tuple[str, ...]] = {
+    "default": (),
+    "no_refinement": ("pose.refine=false", "pose.scouts=false"),
+    "no_scouts_no_rescue": ("pose.scouts=false",),
+    "no_outlines": ("pose.outline_weight=0",),
+    "outlines_only": ("pose.surface_weight=0",),
+    "no_feedback": ("pose.feedback_share=0",),
+}
+SCORES = (
+    "mean_error_mm",
+    "mean_error_after_offset_mm",
+    "mmta_percent",
+    "lost_wrist_percent",
+    "coverage_90_percent",
+)
+FIELDS = ("session", "variant", "seed", *SCORES, "seconds")
+
+
+def prepare(name: str, work: Path, *, trust_store: bool) -> tuple[Path, Path]:
+    """Session folder and run folder with masks, volumes and tracks in its store."""
+    from mocap.pipeline.config import load_config
+    from mocap.pipeline.run import run_session
+
+    if name.startswith("dev:"):
+        folder = DEV / name.removeprefix("dev:")
+    else:
+        from data_synth import synthesise
+
+        folder = work / "sessions" / name
+        if not folder.exists():
+            synthesise(name, folder)
+    out = work / "ablation" / name.replace(":", "_")
+    if trust_store and (out / "store.zarr").exists():
+        return folder, out
+    config = load_config("default", ("output.formats=[]",))
+    run_session(folder, out, config=config, seed=0, resume=True, until="track")
+    return folder, out
+
+
+def measure(folder: Path, out: Path, settings: tuple[str, ...], seed: int) -> dict[str, Any]:
+    """Scores of one variant and seed."""
+    from mocap.io.session import open_session
+    from mocap.io.store import StageStore
+    from mocap.io.tables import read_landmarks_csv
+    from mocap.metrics import evaluate
+    from mocap.pipeline import stages
+    from mocap.pipeline.config import load_config
+    from mocap.pipeline.run import motion_of
+
+    session, store = open_session(folder), StageStore(out / "store.zarr")
+    started = time.perf_counter()
+    poses = stages.estimate_poses(
+        session,
+        load_config("default", settings),
+        store,
+        stages.stored_tracks(store, session.fps),
+        seed=seed,
+        n_threads=1,
+        progress=lambda stage, done, total: None,
+    )
+    seconds = time.perf_counter() - started
+    truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
+    scores = evaluate(
+        [motion_of(p, session.fps) for p in poses], truth, None, None, frames=list(session.frames)
+    )
+    return {k: round(float(scores[k]), 3) for k in SCORES if scores[k] is not None} | {
+        "seconds": round(seconds, 1)
+    }
+
+
+def read_rows() -> list[dict[str, str]]:
+    """Lines of earlier runs."""
+    if not RESULTS.exists():
+        return []
+    with RESULTS.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def summary(rows: list[dict[str, str]]) -> str:
+    """Mean over sessions and seeds of every variant, and of every session, as text."""
+    lines = []
+    for session in [*sorted({r["session"] for r in rows}), "all"]:
+        for variant in dict.fromkeys(r["variant"] for r in rows):
+            own = [r for r in rows if r["variant"] == variant and session in (r["session"], "all")]
+            if own:
+                words = []
+                for field in (*SCORES, "seconds"):
+                    values = [float(r[field]) for r in own if r[field]]
+                    if values:
+                        spread = statistics.stdev(values) if len(values) > 1 and session != "all" else 0.0
+                        words.append(f"{statistics.fmean(values):7.1f} ± {spread:4.1f}")
+                lines.append(f"{session:12s} {variant:22s} n={len(own):2d} " + " | ".join(words))
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--only", help="sessions, separated by commas")
+    parser.add_argument("--variants", help="variants, separated by commas")
+    parser.add_argument(
+        "--set", action="append", default=[], help="NAME:key=value[,key=value]: a variant of your own"
+    )
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
+    parser.add_argument(
+        "--trust-store",
+        action="store_true",
+        help="take masks, volumes and tracks as they are, whatever code made them",
+    )
+    arguments = parser.parse_args()
+    names = [*SCENES, *(f"dev:{n}" for n in DEV_SESSIONS if (DEV / n).is_dir())]
+    if arguments.only:
+        names = arguments.only.split(",")
+    variants = dict(VARIANTS)
+    if arguments.variants:
+        variants = {k: v for k, v in VARIANTS.items() if k in arguments.variants.split(",")}
+    for own in arguments.set:
+        name, _, settings = own.partition(":")
+        variants[name] = tuple(settings.split(","))
+    rows = read_rows()
+    RESULTS.parent.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        folder, out = prepare(name, arguments.work, trust_store=arguments.trust_store)
+        for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
+            for variant, settings in variants.items():
+                if any((r["session"], r["variant"], r["seed"]) == (name, variant, str(seed)) for r in rows):
+                    continue
+                row = {"session": name, "variant": variant, "seed": seed} | measure(
+                    folder, out, settings, seed
+                )
+                rows.append({k: str(row.get(k, "")) for k in FIELDS})
+                with RESULTS.open("w", encoding="utf-8", newline="") as stream:
+                    writer = csv.DictWriter(stream, FIELDS)
+                    writer.writeheader()
+                    writer.writerows(rows)
+                print(" ".join(f"{row.get(k, '')}" for k in FIELDS), flush=True)
+    wanted = [r for r in rows if r["variant"] in variants and r["session"] in names]
+    print(summary(wanted))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,329 @@
+"""Distance between the posed flesh and the outlines of the silhouettes, as residuals for a second-order refinement.
+
+The hull is larger than the body, the more so when a camera may be wrong; the outlines are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body.flesh import LookUpTable
+from mocap.body.model import Body
+from mocap.data.camera import Camera, CameraRig
+from mocap.data.problem import StateLayout
+from mocap.likelihood._outline_kernels import body_to_silhouettes, outline_to_body
+from mocap.likelihood._surface_kernels import chain_axes
+from mocap.likelihood.surface import dof_moves_joint, flesh_sample
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_MARGIN_PX = 24  # of the crop around a person
+_BORDER_PX = 3  # outlines nearer to the picture's border may be cut off
+_MIN_OUTLINE_PX = 12
+_NEAR_PX = 9  # how far from the projected hull an outline may still be the person's
+
+
+@dataclass(frozen=True)
+class OutlineFitSettings:
+    """How outlines and flesh pull each other."""
+
+    n_outline_points: int = 110
+    """Outline points per camera, evenly thinned out."""
+    n_flesh_points: int = 250
+    """Flesh surface points tested in every camera for lying outside the silhouette."""
+    scale_m: float = 0.04
+    """Residual at which an outline point loses three quarters of its pull (Geman-McClure)."""
+    flesh_scale_m: float = 0.06
+    normal_cost_m: float = 0.06
+    """Distance that opposite normals are worth when the touching cone is chosen."""
+    flesh_gain: float = 0.5
+    """Total weight of the flesh points against that of the outline points."""
+
+
+@dataclass(frozen=True, eq=False)
+class PinholeView:
+    """A camera without its distortion: masks are resampled once, then everything is a plain pinhole.
+
+    maps : the pixel maps of cv2.remap, or None without distortion.  inside : (H, W) bool, pixels that the real
+    picture covers.
+    """
+
+    camera: Camera
+    maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    inside: Mask
+
+    def undistort(self, mask: Mask) -> NDArray[np.uint8]:
+        """A mask (H, W) as the pinhole sees it, 0 or 1."""
+        image = mask.view(np.uint8)
+        if self.maps is None:
+            return image
+        return cv2.remap(image, self.maps[0], self.maps[1], cv2.INTER_NEAREST)
+
+
+def pinhole_view(camera: Camera) -> PinholeView:
+    """The ideal pinhole of a camera: same matrix, size and place, no distortion."""
+    width, height = camera.size
+    if not np.any(camera.dist):
+        return PinholeView(camera, None, np.ones((height, width), dtype=np.bool_))
+    if camera.is_fisheye:
+        dist = np.zeros(4)
+        dist[: min(4, len(camera.dist))] = camera.dist[:4]
+        maps = cv2.fisheye.initUndistortRectifyMap(
+            camera.K, dist, np.eye(3), camera.K, camera.size, cv2.CV_32FC1
+        )
+    else:
+        maps = cv2.initUndistortRectifyMap(camera.K, camera.dist, None, camera.K, camera.size, cv2.CV_32FC1)
+    covered = cv2.remap(np.ones((height, width), dtype=np.uint8), *maps, cv2.INTER_NEAREST)
+    return PinholeView(camera, (maps[0], maps[1]), covered.view(np.bool_))
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """One person's outlines in one frame.
+
+    origins, directions, normals : (M, 3) rays through outline points, and the outward normal of the outline turned
+    into the world, unit length, orthogonal to the ray.  camera : (M,) index.
+    nearest, first, shape, corner : nearest silhouette pixel of every pixel of each camera's crop, as the kernel
+    `body_to_silhouettes` takes it; a camera without a usable silhouette has shape (0, 0).
+    """
+
+    rig: CameraRig
+    origins: Array
+    directions: Array
+    normals: Array
+    camera: NDArray[np.int64]
+    nearest: NDArray[np.int32]
+    first: NDArray[np.int64]
+    shape: NDArray[np.int64]
+    corner: NDArray[np.int64]
+
+    @property
+    def n_points(self) -> int:
+        return len(self.origins)
+
+
+def person_outlines(
+    views: Sequence[PinholeView],
+    rig: CameraRig,
+    masks: Sequence[Mask],
+    hull_points: Array,
+    other_points: Array | None = None,
+    *,
+    n_points: int,
+    is_whole: Sequence[bool] | NDArray[np.bool_] | None = None,
+) -> Outlines:
+    """Outlines of one person in all cameras.
+
+    masks : one (H, W) bool per camera.  hull_points : (N, 3) m, surface of the person's hull: only outlines near its
+    projection count.  other_points : (K, 3) m, hulls of the other persons: outlines near theirs do not.
+    n_points : outline points per camera.  is_whole : cameras whose mask can be trusted; None = all.
+    """
+    parts: list[tuple[Array, Array, Array, NDArray[np.int64]]] = []
+    nearest: list[NDArray[np.int32]] = []
+    first, shape, corner = (np.zeros((len(views), n), dtype=np.int64) for n in (1, 2, 2))
+    filled = 0
+    for v, view in enumerate(views):
+        if is_whole is not None and not is_whole[v]:
+            continue
+        found = _camera_outline(view, masks[v], hull_points, other_points, n_points)
+        if found is None:
+            continue
+        uv, normal_px, near, low = found
+        K, R = view.camera.K, view.camera.R
+        rays = np.column_stack(
+            [(uv[:, 0] - K[0, 2]) / K[0, 0], (uv[:, 1] - K[1, 2]) / K[1, 1], np.ones(len(uv))]
+        )
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        n_cam = np.column_stack([normal_px, np.zeros(len(uv))])
+        n_cam -= (n_cam * rays).sum(axis=1, keepdims=True) * rays
+        n_cam /= np.maximum(np.linalg.norm(n_cam, axis=1, keepdims=True), 1e-9)
+        parts.append(
+            (
+                np.tile(view.camera.center, (len(uv), 1)),
+                rays @ R,
+                n_cam @ R,
+                np.full(len(uv), v, dtype=np.int64),
+            )
+        )
+        nearest.append(near.ravel())
+        first[v], shape[v], corner[v] = filled, near.shape, low
+        filled += near.size
+    empty = np.zeros((0, 3))
+    return Outlines(
+        rig=rig,
+        origins=np.concatenate([p[0] for p in parts]) if parts else empty,
+        directions=np.ascontiguousarray(np.concatenate([p[1] for p in parts])) if parts else empty,
+        normals=np.ascontiguousarray(np.concatenate([p[2] for p in parts])) if parts else empty,
+        camera=np.concatenate([p[3] for p in parts]) if parts else np.zeros(0, dtype=np.int64),
+        nearest=np.concatenate(nearest) if nearest else np.zeros(0, dtype=np.int32),
+        first=first[:, 0].copy(),
+        shape=shape,
+        corner=corner,
+    )
+
+
+def _pinhole_pixels(camera: Camera, points: Array) -> NDArray[np.int64]:
+    """Pixels (N, 2) of world points in front of the camera, rounded."""
+    cam = points @ camera.R.T + camera.t
+    cam = cam[cam[:, 2] > 0.1]
+    uv = cam[:, :2] / cam[:, 2:]
+    return np.rint(uv * [camera.K[0, 0], camera.K[1, 1]] + [camera.K[0, 2], camera.K[1, 2]]).astype(np.int64)
+
+
+def _splat(pixels: NDArray[np.int64], low: NDArray[np.int64], height: int, width: int) -> NDArray[np.uint8]:
+    image = np.zeros((height, width), dtype=np.uint8)
+    at = pixels - low
+    ok = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
+    image[at[ok, 1], at[ok, 0]] = 1
+    return cv2.dilate(image, np.ones((2 * _NEAR_PX + 1, 2 * _NEAR_PX + 1), dtype=np.uint8))
+
+
+def _camera_outline(
+    view: PinholeView, mask: Mask, hull_points: Array, other_points: Array | None, n_points: int
+) -> tuple[Array, Array, NDArray[np.int32], NDArray[np.int64]] | None:
+    """Outline points (M, 2) px, outward normals (M, 2), nearest silhouette pixels of the crop, its corner."""
+    width, height = view.camera.size
+    pixels = _pinhole_pixels(view.camera, hull_points)
+    pixels = pixels[(pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)]
+    if len(pixels) < _MIN_OUTLINE_PX:
+        return None
+    low = np.maximum(pixels.min(axis=0) - _MARGIN_PX, 0)
+    high = np.minimum(pixels.max(axis=0) + _MARGIN_PX + 1, [width, height])
+    window = slice(low[1], high[1]), slice(low[0], high[0])
+    crop = np.ascontiguousarray(view.undistort(mask)[window])
+    if not crop.any():
+        return None
+    h, w = crop.shape
+    _, labels = cv2.distanceTransformWithLabels(1 - crop, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    pixel_of_label = np.zeros(int(labels.max()) + 1, dtype=np.int32)
+    inside = np.flatnonzero(crop)
+    pixel_of_label[labels.ravel()[inside]] = inside
+    near = pixel_of_label[labels]
+
+    contours, _ = cv2.findContours(crop, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    points = [c[:, 0] for c in contours if len(c) >= _MIN_OUTLINE_PX]
+    if not points:
+        return None
+    at = np.concatenate(points)
+    u, v = at[:, 0] + low[0], at[:, 1] + low[1]
+    good = (u >= _BORDER_PX) & (v >= _BORDER_PX) & (u < width - _BORDER_PX) & (v < height - _BORDER_PX)
+    good &= (at > 0).all(axis=1) & (at[:, 0] < w - 1) & (at[:, 1] < h - 1)
+    good &= _splat(pixels, low, h, w)[at[:, 1], at[:, 0]] > 0
+    if other_points is not None and len(other_points):
+        others = _splat(_pinhole_pixels(view.camera, other_points), low, h, w)
+        good &= others[at[:, 1], at[:, 0]] == 0
+    at = at[good]
+    if len(at) == 0:
+        return None
+    at = at[np.unique(np.linspace(0, len(at) - 1, n_points).astype(int))]
+    soft = cv2.GaussianBlur(crop.astype(np.float32), (0, 0), 2.0)
+    gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0)
+    gy = cv2.Sobel(soft, cv2.CV_32F, 0, 1)
+    normal = -np.column_stack([gx[at[:, 1], at[:, 0]], gy[at[:, 1], at[:, 0]]]).astype(np.float64)
+    length = np.linalg.norm(normal, axis=1)
+    clear = length > 1e-3
+    normal = normal[clear] / length[clear, None]
+    # The outline runs between the last pixel of the silhouette and the next.
+    return at[clear] + low + 0.5 * normal, normal, near, low
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineProblem:
+    """Robust distance of a body to one frame's outlines: `normal_equations(state)` for the refinement.
+
+    Rays through outline points pull the flesh that they should touch; flesh points outside a silhouette are pulled in,
+    camera by camera.
+    """
+
+    body: Body
+    table: LookUpTable
+    outlines: Outlines
+    settings: OutlineFitSettings
+    _moves: NDArray[np.bool_] = field(init=False, repr=False)
+    _flesh: Array = field(init=False, repr=False)
+    _flesh_joint: NDArray[np.int64] = field(init=False, repr=False)
+    _cameras: tuple[Array, Array, Array] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        flesh, joint, _ = flesh_sample(self.table, self.settings.n_flesh_points)
+        cameras = list(self.outlines.rig)
+        intrinsics = np.array(
+            [
+                [c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2], 1.0, 1.0, c.size[0] - 2.0, c.size[1] - 2.0]
+                for c in cameras
+            ]
+        )
+        for name, value in (
+            ("_moves", dof_moves_joint(self.body)),
+            ("_flesh", flesh),
+            ("_flesh_joint", joint),
+            ("_cameras", (np.stack([c.R for c in cameras]), np.stack([c.t for c in cameras]), intrinsics)),
+        ):
+            object.__setattr__(self, name, value)
+
+    @property
+    def layout(self) -> StateLayout:
+        return self.body.layout
+
+    @property
+    def n_points(self) -> int:
+        """Outline points used."""
+        return self.outlines.n_points
+
+    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
+        """Robust cost, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,).
+
+        Units: metres squared, summed over the outline points. No outlines give zeros.
+        """
+        body, settings, o = self.body, self.settings, self.outlines
+        D = body.layout.n_columns
+        H, g = np.zeros((D, D)), np.zeros(D)
+        if o.n_points == 0:
+            return 0.0, H, g
+        J = len(body.joints)
+        R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
+        chain_axes(state, *body.chain, R, t, axes)
+        joint = body.cones.joint
+        start = np.einsum("krc,kc->kr", R[joint], body.cones.start) + t[joint]
+        end = np.einsum("krc,kc->kr", R[joint], body.cones.end) + t[joint]
+        moving = (t, axes, body.dof_joint, body.dof_column, self._moves)
+        cost = outline_to_body(
+            o.origins,
+            o.directions,
+            o.normals,
+            start,
+            end,
+            body.cones.radii,
+            joint,
+            *moving,
+            settings.scale_m,
+            settings.normal_cost_m,
+            1.0,
+            H,
+            g,
+            np.empty(o.n_points),
+        )
+        flesh = np.einsum("mrc,mc->mr", R[self._flesh_joint], self._flesh) + t[self._flesh_joint]
+        n_used = max(1, int((o.shape[:, 0] > 0).sum()))
+        cost += body_to_silhouettes(
+            flesh,
+            self._flesh_joint,
+            *self._cameras,
+            o.corner,
+            o.nearest,
+            o.first,
+            o.shape,
+            *moving,
+            settings.flesh_scale_m,
+            settings.flesh_gain * o.n_points / (len(flesh) * n_used),
+            H,
+            g,
+            np.zeros(len(self._cameras[0])),
+        )
+        return float(cost), H, g

@@ -1,0 +1,296 @@
+"""Outline residuals: rays through true outlines touch the body, gradients, and refinement from silhouettes alone."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from flesh_voxels import Flesh
+
+from mocap.body import cones_of, landmarks_of, neutral_state
+from mocap.data import Camera, CameraRig
+from mocap.filters import RefineSettings, refine
+from mocap.likelihood import (
+    OutlineFitSettings,
+    OutlineProblem,
+    Outlines,
+    SumProblem,
+    person_outlines,
+    pinhole_view,
+)
+from mocap.likelihood import _outline_kernels as kernels
+
+W, H = 200, 160
+FOCAL = 150.0
+ANGLES_DEG = (10.0, 80.0, 155.0, 230.0, 300.0)
+N_POINTS = 60
+STEP = 1e-6
+# A pixel is 2 cm wide at the person: half of it is the most an exact outline may miss.
+PIXEL_M = 0.021
+
+
+def make_rig(dist: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)) -> CameraRig:
+    cameras = []
+    for i, angle in enumerate(np.deg2rad(ANGLES_DEG)):
+        eye = np.array([2.9 * np.cos(angle), 2.9 * np.sin(angle), 1.2 + 0.2 * (i % 3)])
+        forward = np.array([0.0, 0.0, 0.9]) - eye
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        R = np.stack([right, np.cross(forward, right), forward])
+        K = np.array([[FOCAL, 0.0, W / 2], [0.0, FOCAL, H / 2], [0.0, 0.0, 1.0]])
+        cameras.append(Camera(f"c{i}", (W, H), K, np.array(dist), R, -R @ eye))
+    return CameraRig(tuple(cameras))
+
+
+def silhouette(flesh: Flesh, state: np.ndarray, camera: Camera) -> np.ndarray:
+    """Pixels whose ray passes a ball of the flesh: cones filled with closely spaced balls."""
+    start, end = cones_of(flesh.body, state)
+    u, v = np.meshgrid(np.arange(W), np.arange(H))
+    rays = camera.rays(np.stack([u, v], axis=-1).astype(np.float64)).reshape(-1, 3)
+    mask = np.zeros(len(rays), dtype=np.bool_)
+    for a, b, (ra, rb) in zip(start, end, flesh.body.cones.radii, strict=True):
+        for s in np.linspace(0.0, 1.0, 12):
+            centre = a + s * (b - a) - camera.center
+            across = (centre @ centre) - (rays @ centre) ** 2
+            mask |= across <= (ra + s * (rb - ra)) ** 2
+    return mask.reshape(H, W)
+
+
+def bent(flesh: Flesh) -> np.ndarray:
+    state = neutral_state(flesh.body)
+    names = flesh.body.layout.names
+    for name, value in (
+        ("root_yaw", 0.6),
+        ("right_shoulder_x", 0.5),
+        ("left_shoulder_x", -0.7),
+        ("left_elbow_z", -0.8),
+        ("right_hip_y", -0.5),
+        ("right_knee_y", 0.7),
+    ):
+        state[names.index(name)] = value
+    return state
+
+
+def outlines_of(
+    flesh: Flesh, state: np.ndarray, rig: CameraRig, other: np.ndarray | None = None, scale: int = N_POINTS
+) -> Outlines:
+    masks = [silhouette(flesh, state, c) for c in rig]
+    points = landmark_cloud(flesh, state)
+    return person_outlines([pinhole_view(c) for c in rig], rig, masks, points, other, n_points=scale)
+
+
+def landmark_cloud(flesh: Flesh, state: np.ndarray) -> np.ndarray:
+    """Points all over the body, as a hull's surface would be."""
+    start, end = cones_of(flesh.body, state)
+    s = np.linspace(0.0, 1.0, 9)[:, None, None]
+    axis = (start + s * (end - start)).reshape(-1, 3)
+    rng = np.random.default_rng(0)
+    return np.concatenate([axis + 0.06 * rng.normal(size=axis.shape) for _ in range(12)])
+
+
+@pytest.fixture(scope="module")
+def rig() -> CameraRig:
+    return make_rig()
+
+
+@pytest.fixture(scope="module")
+def seen(flesh: Flesh, rig: CameraRig) -> Outlines:
+    return outlines_of(flesh, bent(flesh), rig)
+
+
+def problem_of(
+    flesh: Flesh, outlines: Outlines, settings: OutlineFitSettings | None = None
+) -> OutlineProblem:
+    return OutlineProblem(flesh.body, flesh.table, outlines, settings or OutlineFitSettings())
+
+
+def residuals(flesh: Flesh, outlines: Outlines, state: np.ndarray) -> np.ndarray:
+    """Distances of all outline rays to the nearest cone, written plainly."""
+    start, end = cones_of(flesh.body, state)
+    found = np.empty(outlines.n_points)
+    for i in range(outlines.n_points):
+        s = np.linspace(0.0, 1.0, 401)
+        axis = start[:, None] + s[None, :, None] * (end - start)[:, None] - outlines.origins[i]
+        along = axis @ outlines.directions[i]
+        away = along[..., None] * outlines.directions[i] - axis
+        length = np.linalg.norm(away, axis=2)
+        radii = flesh.body.cones.radii
+        radius = radii[:, :1] + s * (radii[:, 1:] - radii[:, :1])
+        nearest = length.argmin(axis=1)
+        rows = np.arange(len(start))
+        r = (length - radius)[rows, nearest]
+        cosine = (away[rows, nearest] @ outlines.normals[i]) / length[rows, nearest]
+        found[i] = r[np.argmin(r**2 + (0.06 * (1 - cosine)) ** 2)]
+    return found
+
+
+def test_rays_through_true_outlines_touch_the_flesh(flesh: Flesh, seen: Outlines) -> None:
+    r = residuals(flesh, seen, bent(flesh))
+    assert seen.n_points > 0.8 * N_POINTS * len(ANGLES_DEG)
+    assert np.median(np.abs(r)) < 0.5 * PIXEL_M
+    assert np.quantile(np.abs(r), 0.95) < 1.5 * PIXEL_M
+
+
+def test_the_kernel_finds_the_same_distances_as_plain_numpy(flesh: Flesh, seen: Outlines) -> None:
+    state = bent(flesh)
+    state[:3] += (0.03, -0.02, 0.01)
+    settings = OutlineFitSettings(flesh_gain=0.0)
+    cost, _, _ = problem_of(flesh, seen, settings).normal_equations(state)
+    q = residuals(flesh, seen, state) / settings.scale_m
+    expected = (0.5 * settings.scale_m**2 * q**2 / (1 + q**2)).sum()
+    assert cost == pytest.approx(expected, rel=2e-3)
+
+
+def test_normals_point_out_of_the_body_and_across_the_ray(flesh: Flesh, seen: Outlines) -> None:
+    assert np.abs(np.linalg.norm(seen.normals, axis=1) - 1).max() < 1e-9
+    assert np.abs((seen.normals * seen.directions).sum(axis=1)).max() < 1e-9
+    shrunk = residuals(flesh, replace(seen, origins=seen.origins - 0.03 * seen.normals), bent(flesh))
+    grown = residuals(flesh, replace(seen, origins=seen.origins + 0.03 * seen.normals), bent(flesh))
+    assert np.median(grown) - np.median(shrunk) == pytest.approx(0.06, abs=0.01)
+
+
+def test_the_gradient_is_that_of_the_cost(flesh: Flesh, seen: Outlines) -> None:
+    state = bent(flesh)
+    rng = np.random.default_rng(3)
+    state += 0.01 * rng.normal(size=len(state))
+    # Without the factor of the normals' agreement, and with scales so wide that the weights are 1.
+    settings = OutlineFitSettings(scale_m=50.0, normal_cost_m=0.0, flesh_scale_m=50.0)
+    problem = problem_of(flesh, seen, settings)
+    _, H, g = problem.normal_equations(state)
+    assert np.allclose(H, H.T)
+    assert np.linalg.eigvalsh(H).min() > -1e-9
+    numeric = np.array(
+        [
+            (problem.normal_equations(state + e)[0] - problem.normal_equations(state - e)[0]) / (2 * STEP)
+            for e in STEP * np.eye(len(state))
+        ]
+    )
+    # Rays whose cone axis is turned away get no pull by design; the nearest pixel jumps: a few per cent.
+    assert np.abs(numeric - g).max() < 0.08 * np.abs(g).max()
+
+
+def test_silhouettes_alone_bring_a_disturbed_pose_back(flesh: Flesh, seen: Outlines) -> None:
+    truth = bent(flesh)
+    state = truth.copy()
+    state[:3] += (0.05, -0.04, 0.02)
+    state[3:] += 0.08 * np.random.default_rng(1).normal(size=len(state) - 3)
+    settings = RefineSettings(prior_std=np.where(np.arange(len(state)) < 3, 0.1, 0.5), n_iterations=30)
+    found, _ = refine(problem_of(flesh, seen), state, settings)
+
+    def error(s: np.ndarray) -> float:
+        d = landmarks_of(flesh.body, s[None])[0] - landmarks_of(flesh.body, truth[None])[0]
+        return float(np.linalg.norm(d, axis=1).mean())
+
+    assert error(state) > 0.05
+    assert error(found) < 0.015
+
+
+def test_a_lens_changes_the_masks_but_not_the_rays(flesh: Flesh) -> None:
+    state = bent(flesh)
+    bowed = outlines_of(flesh, state, make_rig((-0.18, 0.03, 0.0, 0.0)))
+    r = residuals(flesh, bowed, state)
+    assert np.median(np.abs(r)) < 0.5 * PIXEL_M
+
+
+def test_the_order_of_cameras_is_irrelevant(flesh: Flesh, seen: Outlines, rig: CameraRig) -> None:
+    turned = CameraRig(tuple(reversed(list(rig))))
+    again = outlines_of(flesh, bent(flesh), turned)
+    state = bent(flesh) + 0.02
+    a, b = (problem_of(flesh, o).normal_equations(state) for o in (seen, again))
+    assert a[0] == pytest.approx(b[0], rel=1e-9)
+    assert np.allclose(a[1], b[1])
+
+
+def test_flesh_outside_a_silhouette_costs_and_flesh_inside_does_not(flesh: Flesh, seen: Outlines) -> None:
+    only = OutlineFitSettings(flesh_gain=1.0)
+    without = OutlineFitSettings(flesh_gain=0.0)
+
+    def outside(state: np.ndarray) -> float:
+        a, b = (problem_of(flesh, seen, s).normal_equations(state)[0] for s in (only, without))
+        return a - b
+
+    away = bent(flesh)
+    away[0] += 0.3
+    assert outside(away) > 20 * outside(bent(flesh))
+
+
+def test_outlines_beside_another_person_do_not_count(flesh: Flesh, seen: Outlines, rig: CameraRig) -> None:
+    state = bent(flesh)
+    elbow = landmarks_of(flesh.body, state[None])[0, 4]
+    other = elbow + 0.02 * np.random.default_rng(0).normal(size=(40, 3))
+    fewer = outlines_of(flesh, state, rig, other, scale=10_000)
+    all_of_them = outlines_of(flesh, state, rig, scale=10_000)
+    assert 0 < fewer.n_points < all_of_them.n_points
+    # No ray that is left passes near the other person.
+    away = np.cross(elbow - fewer.origins, fewer.directions)
+    assert np.linalg.norm(away, axis=1).min() > 0.05
+
+
+def test_no_silhouette_gives_no_outline_and_no_cost(flesh: Flesh, rig: CameraRig) -> None:
+    state = bent(flesh)
+    nothing = [np.zeros((H, W), dtype=np.bool_) for _ in rig]
+    views = [pinhole_view(c) for c in rig]
+    empty = person_outlines(views, rig, nothing, landmark_cloud(flesh, state), n_points=N_POINTS)
+    cost, hessian, gradient = problem_of(flesh, empty).normal_equations(state)
+    assert (empty.n_points, cost) == (0, 0.0)
+    assert not hessian.any()
+    assert not gradient.any()
+
+
+def test_cameras_that_cannot_be_trusted_are_left_out(flesh: Flesh, rig: CameraRig) -> None:
+    state = bent(flesh)
+    masks = [silhouette(flesh, state, c) for c in rig]
+    views = [pinhole_view(c) for c in rig]
+    whole = [True, False, True, True, False]
+    found = person_outlines(
+        views, rig, masks, landmark_cloud(flesh, state), n_points=N_POINTS, is_whole=whole
+    )
+    assert set(found.camera) == {0, 2, 3}
+
+
+def test_outlines_at_the_border_of_the_picture_do_not_count(flesh: Flesh, rig: CameraRig) -> None:
+    state = bent(flesh)
+    state[0] += 1.4  # partly out of some views
+    found = outlines_of(flesh, state, rig)
+    for v, camera in enumerate(rig):
+        rows = found.camera == v
+        if rows.any():
+            uv, _ = camera.project(found.origins[rows] + found.directions[rows])
+            assert uv.min() > 1.0
+            assert (uv < [W - 2.0, H - 2.0]).all()
+
+
+def test_compiled_and_plain_python_agree(
+    flesh: Flesh, seen: Outlines, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = replace(seen, origins=seen.origins[:7], directions=seen.directions[:7], normals=seen.normals[:7])
+    settings = OutlineFitSettings(n_flesh_points=30)
+    state = bent(flesh) + 0.03
+    fast = problem_of(flesh, few, settings).normal_equations(state)
+    module = "mocap.likelihood.outlines."
+    monkeypatch.setattr(kernels, "add_row", kernels.add_row.py_func)
+    monkeypatch.setattr(module + "outline_to_body", kernels.outline_to_body.py_func)
+    monkeypatch.setattr(module + "body_to_silhouettes", kernels.body_to_silhouettes.py_func)
+    slow = problem_of(flesh, few, settings).normal_equations(state)
+    assert fast[0] == pytest.approx(slow[0], rel=1e-12)
+    assert np.allclose(fast[1], slow[1], rtol=1e-9)
+    assert np.allclose(fast[2], slow[2], rtol=1e-9)
+
+
+def test_a_sum_of_problems_adds_costs_matrices_and_gradients(flesh: Flesh, seen: Outlines) -> None:
+    problem = problem_of(flesh, seen)
+    state = bent(flesh) + 0.01
+    cost, hessian, gradient = problem.normal_equations(state)
+    both = SumProblem(((0.5, problem), (2.0, problem), (0.0, problem)))
+    assert both.layout is flesh.body.layout
+    total = both.normal_equations(state)
+    assert total[0] == pytest.approx(2.5 * cost)
+    assert np.allclose(total[1], 2.5 * hessian)
+    assert np.allclose(total[2], 2.5 * gradient)
+
+
+def test_a_view_without_distortion_returns_the_mask_itself(rig: CameraRig) -> None:
+    mask = np.zeros((H, W), dtype=np.bool_)
+    cv2.circle(mask.view(np.uint8), (90, 70), 20, 1, -1)
+    assert np.array_equal(pinhole_view(next(iter(rig))).undistort(mask), mask)
