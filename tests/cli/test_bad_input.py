@@ -256,6 +256,10 @@ BAD_OPTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "setting without value": (("--set", "pose.n_layers"), ("pose.n_layers", "section.key=value")),
     "too many faulty views": (("--set", "volume.n_faulty_views=4"), ("n_faulty_views", "4")),
     "unknown filter": (("--filter", "kalman"), ("kalman", "apf")),
+    "part by part with one likelihood": (
+        ("--filter", "pfcr", "--set", "likelihood.factorised=false"),
+        ("pfcr", "likelihood.factorised"),
+    ),
     "unknown body": (("--set", "body.model=robot"), ("robot",)),
     "unknown stage": (("--until", "lunch"), ("lunch", "segment")),
     "frames without colon": (("--frames", "5"), ("--frames a:b",)),
