@@ -1,14 +1,14 @@
-"""Synthetic worlds with exact ground truth: `list_scenes`, `load_scene`, `synthesise`, `preview_sheet`."""
+"""Synthetic worlds with exact truth: `list_scenes`, `load_scene`, `synthesise`, `preview_sheet`, `scene_sheet`."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from data_synth.preview import preview_sheet
+    from data_synth.preview import preview_sheet, scene_sheet
     from data_synth.scene import Scene, list_scenes, load_scene, synthesise
 
-__all__ = ["Scene", "list_scenes", "load_scene", "preview_sheet", "synthesise"]
+__all__ = ["Scene", "list_scenes", "load_scene", "preview_sheet", "scene_sheet", "synthesise"]
 
 _HOME = {
     "Scene": "data_synth.scene",
@@ -16,6 +16,7 @@ _HOME = {
     "load_scene": "data_synth.scene",
     "synthesise": "data_synth.scene",
     "preview_sheet": "data_synth.preview",
+    "scene_sheet": "data_synth.preview",
 }
 
 

@@ -44,6 +44,17 @@ PARENTS: NDArray[np.int64] = np.array(
 )
 SIDES: tuple[tuple[str, float], ...] = (("left", 1.0), ("right", -1.0))
 SOLE_M = 0.018  # shoe sole under the bare foot
+HAIR = (
+    "usual",
+    "short",
+    "gathered",
+    "long",
+    "bun",
+    "afro",
+    "bald",
+)  # usual: short for men, gathered for women
+CLOTHES = ("fitted", "loose", "skirt")
+ADULT_M, CHILD_M = (1.2, 2.2), (0.95, 1.6)  # statures that are accepted
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +64,8 @@ class Figure:
     offsets : (J, 3) m, joint origin in the parent's frame, neutral pose.  stature_m : barefoot height.
     girth : (J,) relative thickness of the segment that starts at each joint (1 = average).
     head_top : (3,) m, top of the head in the head's frame (on the surface once the body is built).
+    is_child : with the proportions of a child.  hair : one of HAIR.  clothes : one of CLOTHES.
+    ankle_m : height of the ankle over the floor of bodies from elsewhere, None = of our own.
     """
 
     stature_m: float
@@ -61,11 +74,15 @@ class Figure:
     offsets: Array
     girth: Array
     head_top: Array
+    is_child: bool = False
+    hair: str = "usual"
+    clothes: str = "fitted"
+    ankle_m: float | None = None
 
     @property
     def ankle_height_m(self) -> float:
         """Height of the ankle joint over the floor when the shoe stands flat."""
-        return 0.039 * self.stature_m + SOLE_M
+        return 0.039 * self.stature_m + SOLE_M if self.ankle_m is None else self.ankle_m
 
     @property
     def thigh_m(self) -> float:
@@ -89,35 +106,58 @@ class Figure:
         return self.thigh_m + self.shank_m + self.ankle_height_m
 
 
+def check_person(stature_m: float, sex: str, build: float, is_child: bool) -> None:
+    """Raises ValueError for an unknown sex or numbers out of range."""
+    if sex not in ("male", "female"):
+        raise ValueError(f"sex must be 'male' or 'female', got {sex!r}")
+    lowest, highest = CHILD_M if is_child else ADULT_M
+    if not lowest <= stature_m <= highest:
+        raise ValueError(f"stature_m must lie in {lowest} .. {highest}, got {stature_m}")
+    if not 0.7 <= build <= 1.5:
+        raise ValueError(f"build must lie in 0.7 .. 1.5, got {build}")
+
+
 def make_figure(
-    stature_m: float, sex: str, build: float, *, rng: np.random.Generator, variation: float = 0.02
+    stature_m: float,
+    sex: str,
+    build: float,
+    *,
+    rng: np.random.Generator,
+    variation: float = 0.02,
+    is_child: bool = False,
+    hair: str = "usual",
+    clothes: str = "fitted",
 ) -> Figure:
     """Skeleton of a person.
 
-    stature_m : barefoot height.  sex : "male" or "female".  build : thickness, 1 = average, 0.85 slim, 1.2 stout.
+    stature_m : barefoot height, 1.2 .. 2.2, of a child 0.95 .. 1.6.  sex : "male" or "female".
+    build : thickness, 1 = average, 0.85 slim, 1.2 stout.
+    is_child : larger head, shorter legs and arms, the more the smaller (about 4 years at 1.0 m, 12 at 1.5 m).
+    hair, clothes : one of HAIR, one of CLOTHES.
     Segment lengths vary by the relative standard deviation `variation`; left and right are equal and the
-    stature is kept. Raises ValueError for an unknown sex or numbers out of range.
+    stature is kept. Raises ValueError for an unknown word or numbers out of range.
     Source: segment lengths as fractions of stature, Drillis and Contini 1966 as printed in Winter,
     Biomechanics and Motor Control of Human Movement, Fig. 4.1; joint-centre breadths from Dreyfuss,
-    The Measure of Man (bi-iliac and biacromial breadth less the soft tissue).
+    The Measure of Man (bi-iliac and biacromial breadth less the soft tissue). Children: rounded after Snyder et
+    al., Anthropometry of Infants, Children, and Youths to Age 18, 1977.
     """
-    if sex not in ("male", "female"):
-        raise ValueError(f"sex must be 'male' or 'female', got {sex!r}")
-    if not 1.2 <= stature_m <= 2.2:
-        raise ValueError(f"stature_m must lie in 1.2 .. 2.2, got {stature_m}")
-    if not 0.7 <= build <= 1.5:
-        raise ValueError(f"build must lie in 0.7 .. 1.5, got {build}")
+    check_person(stature_m, sex, build, is_child)
+    for name, value, known in (("hair", hair, HAIR), ("clothes", clothes, CLOTHES)):
+        if value not in known:
+            raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
     vary = 1.0 + variation * np.clip(rng.standard_normal(12), -2, 2)
     is_male = sex == "male"
-    ankle, knee, hip, neck = 0.039, 0.285, 0.530, 0.845
+    young = float(np.clip((1.6 - stature_m) / 0.6, 0.0, 1.1)) if is_child else 0.0  # 1 at 1.0 m
+    ankle, knee = 0.039 + 0.004 * young, 0.285 - 0.020 * young
+    hip, neck = 0.530 - 0.058 * young, 0.845 - 0.045 * young
     leg = (hip - ankle) * (1 + 0.4 * (vary[0] - 1))
     shank = (knee - ankle) / (hip - ankle) * leg * (1 + 0.5 * (vary[1] - 1))
     thigh = leg - shank
     trunk = (neck - hip) * (1 + 0.5 * (vary[2] - 1))
     skull = 1.0 - ankle - leg - trunk  # what is left, so that the stature holds
-    upper_arm, forearm = 0.186 * vary[3], 0.146 * vary[4]
-    shoulder = (0.105 if is_male else 0.097) * vary[5]
-    hip_half = (0.0480 if is_male else 0.0515) * vary[6]
+    upper_arm, forearm = (0.186 - 0.008 * young) * vary[3], (0.146 - 0.008 * young) * vary[4]
+    shoulder = (0.099 if is_child else 0.105 if is_male else 0.097) * vary[5]
+    hip_half = (0.0480 if is_male or is_child else 0.0515) * vary[6]
     ball = 0.068 * vary[7]
     spine, chest = 0.17 * trunk, 0.48 * trunk
     offsets = np.zeros((len(JOINTS), 3))
@@ -145,7 +185,7 @@ def make_figure(
         for side, _ in SIDES:
             girth[JOINT[f"{side}_{name}"]] = build**0.25
     head_top = np.array([-0.005, 0.0, 0.71 * skull]) * stature_m
-    return Figure(stature_m, sex, build, offsets, girth, head_top)
+    return Figure(stature_m, sex, build, offsets, girth, head_top, is_child, hair, clothes)
 
 
 def forward_kinematics(offsets: Array, rotations: Array, root_position: Array) -> tuple[Array, Array]:

@@ -7,14 +7,12 @@ room are looked up in small maps of the bodies as each light sample sees them; t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.body import Body
-from data_synth.looks import Look
 from data_synth.rooms import Room
 from mocap.data import Camera
 from mocap.errors import MocapError
@@ -25,7 +23,7 @@ Mask = NDArray[np.bool_]
 
 _CELL = 8  # side of the pixel blocks that are tested first, px
 _MAP = 72  # side of a light map, texels
-_GAMMA = 1 / 2.2
+GAMMA = 1 / 2.2
 _PSF_PX = 0.55
 _SUBPIXELS = ((-0.25, -0.25), (0.25, 0.25), (-0.25, 0.25), (0.25, -0.25))
 _CONTACT_M = 0.22  # bodies closer to the floor than this keep diffuse light away from it
@@ -113,25 +111,61 @@ class ContactMap:
 
 @dataclass(frozen=True, eq=False)
 class PosedScene:
-    """All bodies of one frame: mesh, attributes, ray scene and light maps (one tuple per light)."""
+    """All bodies of one frame: mesh, attributes, ray scene and light maps (one tuple per light).
+
+    things : what each piece of the mesh is, indices into the world's things; first_vertex : where each piece begins,
+    and the end.  crosses_wall : whether some of it is outside the room.
+    """
 
     vertices: Array
     normals: Array
     faces: NDArray[np.int64]
     rest: Array
+    things: tuple[int, ...]
     first_vertex: tuple[int, ...]
     rays: RayScene | None
     maps: tuple[tuple[LightMap, ...], ...]
     contact: ContactMap | None
+    crosses_wall: bool = False
+
+    def of(self, thing: int) -> tuple[Array, Array]:
+        """Vertices and normals, each (V, 3), of one thing."""
+        i = self.things.index(thing)
+        own = slice(self.first_vertex[i], self.first_vertex[i + 1])
+        return self.vertices[own], self.normals[own]
+
+
+class Thing(Protocol):
+    """A mesh to render: vertices (V, 3) at rest and faces (F, 3)."""
+
+    @property
+    def vertices(self) -> Array: ...
+
+    @property
+    def faces(self) -> NDArray[np.int64]: ...
+
+
+class Paint(Protocol):
+    """The colours of a thing."""
+
+    def albedo(self, body: Any, rest: Array) -> Array:
+        """Linear RGB (N, 3) at rest positions (N, 3) on a thing's surface."""
+        ...
 
 
 def posed_scene(
-    bodies: tuple[Body, ...], posed: list[tuple[Array, Array]], room: Room, *, with_light: bool = True
+    bodies: tuple[Thing, ...],
+    posed: list[tuple[Array, Array]],
+    room: Room,
+    *,
+    things: tuple[int, ...] | None = None,
+    with_light: bool = True,
 ) -> PosedScene:
-    """Join the posed bodies of a frame.  posed : vertices and normals of each body."""
+    """Join the posed bodies of a frame.  posed : vertices and normals of each body.  things : their numbers."""
+    things = tuple(range(len(bodies))) if things is None else things
     if not bodies:
         empty = np.zeros((0, 3))
-        return PosedScene(empty, empty, np.zeros((0, 3), np.int64), empty, (), None, (), None)
+        return PosedScene(empty, empty, np.zeros((0, 3), np.int64), empty, (), (0,), None, (), None)
     starts = np.cumsum([0] + [len(b.vertices) for b in bodies])
     vertices = np.concatenate([v for v, _ in posed])
     faces = np.concatenate([b.faces + s for b, s in zip(bodies, starts, strict=False)])
@@ -145,10 +179,12 @@ def posed_scene(
         np.concatenate([n for _, n in posed]),
         faces,
         np.concatenate([b.vertices for b in bodies]),
+        things,
         tuple(int(s) for s in starts),
         rays,
         tuple(maps),
         _contact_map(vertices) if with_light else None,
+        bool(np.any(vertices < room.lower) or np.any(vertices > room.upper)),
     )
 
 
@@ -198,6 +234,18 @@ def _light_map(position: Array, vertices: Array, rays: RayScene) -> LightMap:
     return LightMap(position, R, scale, offset, hit, wide, reach.reshape(_MAP, _MAP))
 
 
+@dataclass(frozen=True, eq=False)
+class FirstHits:
+    """What rays meet: distances (N,) m of the room (walls, furniture) and of the bodies, inf where none.
+
+    face : (N,) face of the posed scene, -1 where none.
+    """
+
+    room_m: Array
+    body_m: Array
+    face: NDArray[np.int64]
+
+
 class CameraView:
     """One camera in one room: everything that does not change from frame to frame."""
 
@@ -211,7 +259,7 @@ class CameraView:
         self.directions = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2)).astype(np.float32)
         self.eye = camera.center.astype(np.float32)
         vertices, faces, owner = room.mesh()
-        shell = RayScene(vertices, faces)
+        self._shell = shell = RayScene(vertices, faces)
         corner = vertices[faces]
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -273,7 +321,7 @@ class CameraView:
         self._is_floor = is_floor
 
     def render(
-        self, scene: PosedScene, bodies: tuple[Body, ...], looks: tuple[Look, ...]
+        self, scene: PosedScene, bodies: tuple[Thing, ...], looks: tuple[Paint, ...]
     ) -> tuple[Array, Mask]:
         """Noise-free picture (H, W, 3) float32 in 0 .. 255 and the silhouette (H, W) of the visible bodies."""
         w, h = self.camera.size
@@ -285,7 +333,7 @@ class CameraView:
         shadows: list[tuple[int, NDArray, NDArray]] = []  # part, pixels, share of the part taken away
         for i, maps in enumerate(scene.maps):
             for light_map in maps:
-                shaded, amount = self._shadowed(light_map)
+                shaded, amount = self._shadowed(light_map, scene.crosses_wall)
                 shadows.append((i, shaded, amount / np.float32(len(maps))))
         if scene.contact is not None:
             shadows.append((len(self.parts) - 1, *self._contact(scene.contact)))
@@ -321,6 +369,20 @@ class CameraView:
             mask[self._body_pixels(scene)[0]] = True
         return mask.reshape(h, w)
 
+    def first_hits(self, points: Array, scene: PosedScene) -> FirstHits:
+        """What the rays from the camera through points (N, 3) m, world, meet first."""
+        towards = points - self.camera.center
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        origins = np.broadcast_to(self.eye, towards.shape)
+        room = self._shell.cast(origins, towards)
+        room_m = np.where(room["primID"] >= 0, room["tfar"], np.inf).astype(np.float64)
+        if scene.rays is None:
+            none = np.full(len(points), -1, np.int64)
+            return FirstHits(room_m, np.full(len(points), np.inf), none)
+        body = scene.rays.cast(origins, towards)
+        face = body["primID"].astype(np.int64)
+        return FirstHits(room_m, np.where(face >= 0, body["tfar"], np.inf).astype(np.float64), face)
+
     def _body_pixels(self, scene: PosedScene) -> tuple[NDArray, dict[str, NDArray]]:
         """Pixels (n,) where a body is in front of the room, with face, barycentric coordinates and distance."""
         uv, _ = self.camera.project(scene.vertices)
@@ -341,7 +403,7 @@ class CameraView:
         visible = (result["primID"] >= 0) & (result["tfar"] < self.depth[candidates])
         return candidates[visible], {k: result[k][visible] for k in none}
 
-    def _shadowed(self, light_map: LightMap) -> tuple[NDArray, NDArray]:
+    def _shadowed(self, light_map: LightMap, crosses_wall: bool) -> tuple[NDArray, NDArray]:
         """Pixels of the room that the bodies shade from one light sample, and by how much (0 .. 1)."""
         texel, _ = light_map.texels(self._block_points)
         coarse = _lookup(light_map.wide, texel, cv2.INTER_NEAREST) > 0
@@ -351,8 +413,8 @@ class CameraView:
             return pixels, np.zeros(0, np.float32)
         texel, square = light_map.texels(self.points[pixels])
         amount = _lookup(light_map.hit, texel, cv2.INTER_LINEAR)
-        if len(self.room.furniture):
-            # Only furniture can be between a lamp and a body; walls and floor are always behind.
+        if len(self.room.furniture) or crosses_wall:
+            # Only furniture can be between a lamp and a body; walls and floor are behind whoever is in the room.
             reach = _lookup(light_map.reach, texel, cv2.INTER_NEAREST)
             amount[np.isfinite(reach) & (square < reach * reach)] = 0
         keep = amount > 0.004
@@ -377,8 +439,8 @@ class CameraView:
     def _shade(
         self,
         scene: PosedScene,
-        bodies: tuple[Body, ...],
-        looks: tuple[Look, ...],
+        bodies: tuple[Thing, ...],
+        looks: tuple[Paint, ...],
         pixels: NDArray,
         hit: dict[str, NDArray],
     ) -> NDArray:
@@ -391,10 +453,10 @@ class CameraView:
         points = self.eye + hit["tfar"][:, None] * self.directions[pixels]
         albedo = np.zeros((len(pixels), 3))
         person = np.searchsorted(np.array(scene.first_vertex[1:]), corner[:, 0], side="right")
-        for i, (body, look) in enumerate(zip(bodies, looks, strict=True)):
+        for i, thing in enumerate(scene.things):
             mine = person == i
             if mine.any():
-                albedo[mine] = look.albedo(body, rest[mine])
+                albedo[mine] = looks[thing].albedo(bodies[thing], rest[mine])
         # Open sky above is brighter than the floor below.
         light = self.room.ambient.astype(np.float32) * (0.85 + 0.3 * normals[:, 2:])
         for lamp, maps in zip(self.room.lights, scene.maps, strict=True):
@@ -440,7 +502,7 @@ def _lookup(table: NDArray[np.float32], texel: NDArray, interpolation: int) -> N
 
 def _display(linear: NDArray[np.float32]) -> NDArray[np.float32]:
     """Linear light to picture values 0 .. 255 (a power law, so that gains commute with it)."""
-    return (255.0 * np.power(np.clip(linear, 0, None), _GAMMA)).astype(np.float32)
+    return (255.0 * np.power(np.clip(linear, 0, None), GAMMA)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -456,10 +518,10 @@ class Sensor:
     drift: Array
     grain: NDArray[np.float32]
 
-    def expose(self, picture: NDArray, index: int, *, rng: np.random.Generator) -> Image:
-        """8-bit RGB picture of frame `index` with noise."""
+    def expose(self, picture: NDArray, index: int, *, rng: np.random.Generator, light: float = 1.0) -> Image:
+        """8-bit RGB picture of frame `index` with noise.  light : linear factor on the light."""
         h, w = picture.shape[:2]
-        factor = (self.gain * self.drift[index % len(self.drift)] ** _GAMMA).astype(np.float32)
+        factor = (self.gain * (light * self.drift[index % len(self.drift)]) ** GAMMA).astype(np.float32)
         out = picture * factor
         if self.noise_levels > 0:
             # A window of a long strip of normal numbers at a random place: as good, and ten times faster.

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from data_synth.looks import value_noise
-from mocap.data import Camera, CameraRig
 
 Array = NDArray[np.float64]
 
@@ -27,7 +25,8 @@ class Light:
 class Room:
     """A box-shaped room with furniture boxes and ceiling lights; the floor is z = 0.
 
-    lower, upper : (3,) m.  furniture : (B, 2, 3) m, lower and upper corners.
+    lower, upper : (3,) m.  furniture : (B, 8, 3) m, corners of boxes as `box_corners` orders them.
+    furniture_rgb : (B, 3).
     """
 
     lower: Array
@@ -44,14 +43,17 @@ class Room:
     def mesh(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         """Vertices, faces and the box of each face (0 = walls, b + 1 = furniture box b)."""
         corners, faces, owner = [], [], []
-        boxes = [np.stack([self.lower, self.upper]), *self.furniture]
-        for b, box in enumerate(boxes):
+        for b, box in enumerate([box_corners(self.lower, self.upper), *self.furniture]):
             faces.append(_BOX_FACES + 8 * b)
             owner.append(np.full(len(_BOX_FACES), b))
-            corners.append(
-                np.array([[box[i >> 2 & 1, 0], box[i >> 1 & 1, 1], box[i & 1, 2]] for i in range(8)])
-            )
+            corners.append(box)
         return np.concatenate(corners), np.concatenate(faces), np.concatenate(owner)
+
+    def holds_some(self, points: Array) -> bool:
+        """Whether any of the points (N, 3) m lies between the walls."""
+        return bool(
+            np.any(np.all((points[:, :2] > self.lower[:2]) & (points[:, :2] < self.upper[:2]), axis=1))
+        )
 
     def paint(self, points: Array, normals: Array, owner: NDArray[np.int64]) -> Array:
         """Linear RGB (N, 3) of room points, sharp features only; inward unit normals (N, 3), owner of each."""
@@ -76,7 +78,7 @@ class Room:
         out[is_wall] = colour
         out[is_ceiling] = (0.62, 0.62, 0.60)
         out[is_floor] = self._floor(points[is_floor])
-        out[owner > 0] = self.furniture_rgb
+        out[owner > 0] = self.furniture_rgb[owner[owner > 0] - 1]
         return out
 
     def texture(self, points: Array, normals: Array, owner: NDArray[np.int64]) -> Array:
@@ -103,6 +105,16 @@ class Room:
         return out * (1 + 0.35 * tint - 0.4 * (edge[:, 0] | edge[:, 1]))[:, None]
 
 
+def box_corners(lower: Array, upper: Array, *, middle: Array | None = None, turn_rad: float = 0.0) -> Array:
+    """The corners (8, 3) m of a box, turned about the vertical through `middle` (3,) and then shifted by it."""
+    sides = np.stack([lower, upper])
+    corners = np.array([[sides[i >> 2 & 1, 0], sides[i >> 1 & 1, 1], sides[i & 1, 2]] for i in range(8)])
+    if middle is None:
+        return corners
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    return corners @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + middle
+
+
 _BOX_FACES = np.array(
     [
         [0, 1, 3],
@@ -127,11 +139,13 @@ def make_room(
     *,
     floor: str,
     furniture: Array,
+    tint: Array,
     rng: np.random.Generator,
 ) -> Room:
     """A room centred on the origin with two ceiling panels and diffuse light from everywhere.
 
-    floor : "tiles", "planks" or "carpet".  furniture : (B, 2, 3) m. Raises ValueError for an unknown floor.
+    floor : "tiles", "planks" or "carpet".  furniture : (B, 8, 3) m, corners of boxes.  tint : (B, 3), factor on
+    the colour of each box. Raises ValueError for an unknown floor.
     """
     if floor not in ("tiles", "planks", "carpet"):
         raise ValueError(f"floor must be tiles, planks or carpet, got {floor!r}")
@@ -159,12 +173,12 @@ def make_room(
     return Room(
         lower,
         upper,
-        furniture.reshape(-1, 2, 3),
+        furniture,
         tuple(lights),
         floor,
         np.array(palette[int(rng.integers(len(palette)))]) * rng.uniform(0.85, 1.15),
         wall,
-        np.array([0.30, 0.20, 0.12]) * rng.uniform(0.7, 1.3),
+        np.array([0.30, 0.20, 0.12]) * rng.uniform(0.7, 1.3) * tint,
         np.array([0.22, 0.22, 0.23]),
         rng.uniform(size=(32, 32, 32)),
     )
@@ -175,47 +189,3 @@ def _square(center: Array, half: float, rng: np.random.Generator) -> Array:
     quarter = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half / 2
     xy = center[:2] + quarter + rng.uniform(-0.2, 0.2, size=(4, 2)) * half
     return np.column_stack([xy, np.full(4, center[2])])
-
-
-def make_ring(
-    n_cameras: int,
-    *,
-    radius_m: tuple[float, float],
-    height_m: tuple[float, float],
-    focal_px: float,
-    size: tuple[int, int],
-    distortion: bool,
-    room: Room,
-    rng: np.random.Generator,
-) -> CameraRig:
-    """Cameras on a ring that look at the middle of the room; poses, focal lengths and k1, k2 vary by the seed."""
-    cameras = []
-    start = rng.uniform(0, 2 * np.pi)
-    for i in range(n_cameras):
-        angle = start + 2 * np.pi * (i + rng.uniform(-0.18, 0.18)) / n_cameras
-        radius = rng.uniform(*radius_m)
-        eye = np.array([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(*height_m)])
-        eye = np.clip(eye, room.lower + 0.15, room.upper - 0.15)
-        target = np.array([0.0, 0.0, 0.92]) + rng.uniform(-1, 1, 3) * np.array([0.12, 0.12, 0.05])
-        R = _look_at(eye, target, roll=rng.normal(0, np.deg2rad(0.8)))
-        f = focal_px * size[0] / 640 * rng.uniform(0.97, 1.03)
-        K = np.array(
-            [
-                [f, 0, size[0] / 2 - 0.5 + rng.normal(0, 4)],
-                [0, f * rng.uniform(0.998, 1.002), size[1] / 2 - 0.5 + rng.normal(0, 4)],
-                [0, 0, 1],
-            ]
-        )
-        dist = np.zeros(4)
-        if distortion:
-            dist[:2] = rng.uniform(-0.17, -0.09), rng.uniform(0.03, 0.05)
-        cameras.append(Camera(f"cam_{i}", size, K, dist, R, -R @ eye))
-    return CameraRig(tuple(cameras))
-
-
-def _look_at(eye: Array, target: Array, *, roll: float) -> Array:
-    z = (target - eye) / np.linalg.norm(target - eye)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(z, x), z])
-    return Rotation.from_rotvec([0, 0, roll]).as_matrix() @ R

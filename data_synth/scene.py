@@ -5,65 +5,24 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from data_synth.faults import KINDS as _FAULT_KINDS
+from data_synth.faults import Fault, find_mistakes
+from data_synth.furniture import KINDS as _FURNITURE_KINDS
+from data_synth.furniture import Furniture
+from data_synth.markers import MarkerConfig
+from data_synth.persons import MOTION_KINDS, Person
+from data_synth.rigs import KINDS as _RIG_KINDS
+from data_synth.rigs import RigConfig, RingRig
+from data_synth.section import Section as _Section
 from mocap.errors import MocapError
 
 SCENES_DIR = Path(__file__).resolve().parent.parent / "configs" / "scenes"
 
 Progress = Callable[[str, int, int], None]
-
-
-_KINDS = ("walk", "stand", "gesture", "box", "pick_up")
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class WalkMotion(_Section):
-    """Walking on an ellipse round `center`, or on a straight line through it when the radii are 0."""
-
-    kind: Literal["walk"]
-    center_m: tuple[float, float] = (0.0, 0.0)
-    radii_m: tuple[float, float] = (1.1, 1.0)
-    start_deg: float = 0.0
-    clockwise: bool = False
-    speed_m_s: float = Field(1.05, ge=0.5, le=1.8)
-
-
-class PlaceMotion(_Section):
-    """A motion on the spot."""
-
-    kind: Literal["stand", "gesture", "box", "pick_up"]
-    position_m: tuple[float, float] = (0.0, 0.0)
-    heading_deg: float = 0.0
-
-
-class Person(_Section):
-    """One person; what is not given is drawn from the seed."""
-
-    seed: int = Field(ge=0)
-    height_m: float | None = Field(None, ge=1.2, le=2.2)
-    """Barefoot stature; shoes and hair add about 2.5 cm."""
-    sex: Literal["male", "female"] | None = None
-    build: float | None = Field(None, ge=0.7, le=1.5)
-    motion: Annotated[WalkMotion | PlaceMotion, Field(discriminator="kind")]
-
-
-class Box(_Section):
-    """A piece of furniture: an axis-aligned box that hides what is behind it and throws shadows."""
-
-    lower_m: tuple[float, float, float]
-    upper_m: tuple[float, float, float]
-
-    @model_validator(mode="after")
-    def _not_empty(self) -> Box:
-        if not all(a < b for a, b in zip(self.lower_m, self.upper_m, strict=True)):
-            raise ValueError("lower_m must be below upper_m in every direction")
-        return self
 
 
 class RoomConfig(_Section):
@@ -74,7 +33,7 @@ class RoomConfig(_Section):
         (2.0, 2.0, 2.2),
     )
     """Lower and upper corner of the volume in which people move."""
-    furniture: tuple[Box, ...] = ()
+    furniture: tuple[Furniture, ...] = ()
 
     @model_validator(mode="after")
     def _inside(self) -> RoomConfig:
@@ -85,22 +44,6 @@ class RoomConfig(_Section):
         return self
 
 
-class RigConfig(_Section):
-    n_cameras: int = Field(7, ge=1, le=32)
-    radius_m: tuple[float, float] = (3.2, 3.9)
-    height_m: tuple[float, float] = (1.1, 2.4)
-    focal_px: float = Field(500.0, ge=100.0)
-    """Focal length for a picture 640 pixels wide."""
-    size_px: tuple[int, int] = (640, 480)
-    distortion: bool = True
-
-    @model_validator(mode="after")
-    def _whole_blocks(self) -> RigConfig:
-        if self.size_px[0] % 8 or self.size_px[1] % 8 or min(self.size_px) < 64:
-            raise ValueError("size_px: width and height must be multiples of 8, at least 64")
-        return self
-
-
 class PictureConfig(_Section):
     noise_levels: float = Field(2.0, ge=0.0, le=40.0)
     """Standard deviation of the sensor noise, grey levels of 255."""
@@ -108,6 +51,16 @@ class PictureConfig(_Section):
     """Relative size of slow changes of the light."""
     colour_cast: float = Field(0.06, ge=0.0, le=0.3)
     """Spread of gain and colour between cameras."""
+    exposure_ms: float = Field(0.0, ge=0.0, le=500.0)
+    """Time for which the shutter is open: motion blur."""
+    readout_ms: float = Field(0.0, ge=0.0, le=500.0)
+    """Time from the first to the last row of a rolling shutter."""
+    n_subframes: int = Field(7, ge=3, le=63)
+    """Instants rendered per picture when the shutter is not instantaneous."""
+    jpeg_quality: int | None = Field(None, ge=1, le=100)
+    """Compress every picture as JPEG before it is stored."""
+    container: Literal["mp4", "png", "jpg"] = "mp4"
+    """videos/CAM.mp4, or the pictures one by one in images/CAM/."""
 
 
 class Scene(_Section):
@@ -122,10 +75,24 @@ class Scene(_Section):
     with_background: bool = True
     masks_only: bool = False
     """Write the true silhouettes as masks/ and no pictures."""
+    truth_voxels: bool = True
+    """Write truth/voxels.npz, the largest file of the truth."""
     room: RoomConfig = Field(default_factory=lambda: RoomConfig.model_validate({}))
-    rig: RigConfig = Field(default_factory=lambda: RigConfig.model_validate({}))
+    rig: RigConfig = Field(default_factory=lambda: RingRig.model_validate({}))
     picture: PictureConfig = Field(default_factory=lambda: PictureConfig.model_validate({}))
     persons: tuple[Person, ...] = ()
+    markers: MarkerConfig | None = None
+    faults: tuple[Fault, ...] = ()
+
+    @model_validator(mode="after")
+    def _faults_fit(self) -> Scene:
+        if wrong := find_mistakes(self.faults, self.rig.names, self.n_frames):
+            raise ValueError("; ".join(wrong))
+        return self
+
+
+# Names of alternatives, which pydantic puts into the path of a key.
+_TAGS = {*MOTION_KINDS, *_FAULT_KINDS, *_RIG_KINDS, *_FURNITURE_KINDS}
 
 
 def list_scenes() -> list[str]:
@@ -162,12 +129,14 @@ def synthesise(
     *,
     seed: int | None = None,
     workers: int = 2,
+    body: str | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Write the session folder of a scene (or scene name, or TOML file) to `out` and return it.
 
     seed : replaces the scene's seed and draws other persons.
     workers : processes over which the cameras are shared; the result does not depend on it.
+    body : replaces the kind of all bodies, "own" or "anny".
     progress : called as progress(what, done, total); a `what` may run in several rounds.
     The folder is complete or absent: an earlier session there is replaced at the end, anything else is refused.
     Raises MocapError without embreex, for an unknown scene, and when `out` holds something that is no session;
@@ -178,17 +147,32 @@ def synthesise(
     from data_synth.session import write_session
 
     checked = scene if isinstance(scene, Scene) else load_scene(scene)
+    if body is not None:
+        document = checked.model_dump(mode="json")
+        checked = scene_from_dict({**document, "persons": [{**p, "body": body} for p in document["persons"]]})
     return write_session(checked, Path(out), seed=seed, workers=workers, progress=progress)
 
 
 def scene_from_dict(document: dict[str, Any], *, path: Path | None = None) -> Scene:
     """A checked scene. Raises MocapError that names every bad key by its dotted path."""
     try:
-        return Scene.model_validate(document)
+        # Files named in a scene are relative to it.
+        folder = None if path is None else path.resolve().parent
+        return Scene.model_validate(document, context={"folder": folder})
     except ValidationError as error:
         lines = []
         for item in error.errors():
-            dotted = ".".join(str(p) for p in item["loc"] if p not in _KINDS)
+            dotted = _dotted(item["loc"])
             what = "unknown key" if item["type"] == "extra_forbidden" else item["msg"]
-            lines.append(f"{dotted or 'scene'}: {what}")
+            # A mistake of the scene as a whole brings its own path.
+            lines.append(f"{dotted}: {what}" if dotted else what.removeprefix("Value error, "))
         raise MocapError("; ".join(lines), path=path, remedy="correct the scene file") from error
+
+
+def _dotted(place: tuple[int | str, ...]) -> str:
+    """The path of a key as the file has it: pydantic adds which alternative it took."""
+    words = []
+    for before, word in zip((None, *place), place, strict=False):
+        if word not in _TAGS or not (isinstance(before, int) or before in ("motion", "rig")):
+            words.append(str(word))
+    return ".".join(words)

@@ -8,37 +8,51 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from data_synth.body import Body, build_body, mesh_volume_and_centroid
-from data_synth.figure import JOINTS, forward_kinematics, landmarks_of, make_figure
-from data_synth.looks import Look, make_look
+from data_synth.body import Body
+from data_synth.faults import Timeline, moved_cameras, room_faults, timeline
+from data_synth.figure import JOINT, forward_kinematics, landmarks_of
+from data_synth.furniture import furniture_boxes
+from data_synth.looks import Look
+from data_synth.markers import (
+    BallLook,
+    Balls,
+    Markers,
+    Sight,
+    make_detections,
+    marker_spots,
+    place_markers,
+    write_detections,
+)
 from data_synth.motions import MOTIONS, Pose
-from data_synth.motions import Path as FloorPath
-from data_synth.render import CameraView, PosedScene, Sensor, make_sensor, posed_scene, require_embree
-from data_synth.rooms import Room, make_ring, make_room
-from data_synth.scene import Person, Progress, Scene, WalkMotion
-from data_synth.voxelise import solid_voxels
-from mocap.data import CameraRig, Motion, Tracks, VoxelGrid
+from data_synth.persons import Person, cast
+from data_synth.recorder import Moments, Recorder
+from data_synth.render import Paint, PosedScene, Thing, posed_scene, require_embree
+from data_synth.rigs import make_rig
+from data_synth.rooms import Room, box_corners, make_room
+from data_synth.scene import Progress, Scene
+from data_synth.truth import write_truth
+from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.io.calibration import write_calibration
-from mocap.io.tables import write_landmarks_csv, write_tracks_csv
 
 Array = NDArray[np.float64]
-
-TRUTH_VOXEL_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Actor:
     """One person of a prepared scene.
 
-    position : (T, J, 3) m, rotation : (T, J, 3, 3), world.  landmarks : (T, 15, 3) m.
+    pose : the motion, of which the session's frame 0 is frame `lead`; position : (M, J, 3) m, rotation :
+    (M, J, 3, 3), world, all of its frames.  landmarks : (T, 15, 3) m, the session's frames.
     """
 
     person: int
@@ -48,34 +62,137 @@ class Actor:
     position: Array
     rotation: Array
     landmarks: Array
+    lead: int = 0
+    markers: Markers | None = None
 
-    def posed(self, frame: int) -> tuple[Array, Array]:
-        """Vertices and normals (V, 3) of one frame."""
-        return self.body.pose(self.position[frame], self.rotation[frame])
+    def joints(self, instant: float) -> tuple[Array, Array]:
+        """Positions (J, 3) m and rotations (J, 3, 3) at an instant, in frames of the session.
+
+        Between frames every joint turns at constant speed. Instants beyond the motion give its ends.
+        """
+        at = min(max(instant + self.lead, 0.0), len(self.position) - 1.0)
+        k = int(at)
+        share = at - k
+        if share < 1e-9:
+            return self.position[k], self.rotation[k]
+        first = Rotation.from_matrix(self.pose.rotations[k])
+        turn = (first.inv() * Rotation.from_matrix(self.pose.rotations[k + 1])).as_rotvec()
+        local = (first * Rotation.from_rotvec(share * turn)).as_matrix()
+        root = (1 - share) * self.pose.root_position[k] + share * self.pose.root_position[k + 1]
+        position, rotation = forward_kinematics(self.body.figure.offsets, local[None], root[None])
+        return position[0], rotation[0]
+
+    def landmarks_at(self, instant: float) -> Array:
+        """The landmarks (15, 3) m at an instant, in frames of the session."""
+        position, rotation = self.joints(instant)
+        return landmarks_of(self.body.figure, position[None], rotation[None])[0]
+
+    def head_at(self, instant: float) -> Array:
+        """Middle of the head, (3,) m: halfway from the joint under the skull to its top."""
+        position, rotation = self.joints(instant)
+        j = JOINT["head"]
+        return position[j] + rotation[j] @ (0.5 * self.body.figure.head_top)
+
+    def posed(self, instant: float) -> tuple[Array, Array]:
+        """Vertices and normals (V, 3) at an instant, in frames of the session."""
+        return self.body.pose(*self.joints(instant))
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A scene made concrete by its seed."""
+    """A scene made concrete by its seed.
+
+    rig : the cameras as calibrated.  cameras : per camera its poses, as calibrated and after each move.
+    timelines : per camera what each of its pictures shows.
+    """
 
     scene: Scene
     seed: int
     room: Room
     rig: CameraRig
+    cameras: dict[str, tuple[Camera, ...]]
+    timelines: dict[str, Timeline]
     actors: tuple[Actor, ...]
+
+    def rng(self, *address: int) -> np.random.Generator:
+        """The generator of one address of this world."""
+        return rng_at(self.seed, *address)
+
+    def room_in(self, state: int) -> Room:
+        """The room in a state of a timeline: with new obstacles and switched lamps."""
+        room = self.room
+        for bit, fault in enumerate(room_faults(self.scene.faults)):
+            if state >> bit & 1 and fault.kind == "obstacle":
+                box = box_corners(np.array(fault.lower_m), np.array(fault.upper_m))
+                rgb = np.array([[0.16, 0.19, 0.24]])
+                room = replace(
+                    room,
+                    furniture=np.concatenate([room.furniture, box[None]]),
+                    furniture_rgb=np.concatenate([room.furniture_rgb, rgb]),
+                )
+            elif state >> bit & 1:
+                lights = list(room.lights)
+                lights[fault.lamp] = replace(lights[fault.lamp], power=lights[fault.lamp].power * fault.gain)
+                room = replace(room, lights=tuple(lights))
+        return room
+
+    @property
+    def n_markers(self) -> int:
+        """Markers per person."""
+        return 0 if self.scene.markers is None else len(marker_spots())
+
+    @cached_property
+    def balls(self) -> tuple[Balls, ...]:
+        """The markers to be rendered, one thing per person."""
+        is_seen = self.scene.markers is not None and self.scene.markers.balls
+        return tuple(Balls(a.markers) for a in self.actors if is_seen and a.markers is not None)
 
     @property
     def bodies(self) -> tuple[Body, ...]:
         return tuple(a.body for a in self.actors)
 
-    @property
-    def looks(self) -> tuple[Look, ...]:
-        return tuple(a.look for a in self.actors)
+    @cached_property
+    def things(self) -> tuple[Thing, ...]:
+        """All that is rendered: the bodies of the persons, then their balls in the same order."""
+        return (*self.bodies, *self.balls)
 
-    def at(self, frame: int, *, with_light: bool = True) -> PosedScene:
-        """All bodies in one frame, ready for ray casting."""
-        posed = [a.posed(frame) for a in self.actors]
-        return posed_scene(self.bodies, posed, self.room, with_light=with_light)
+    @cached_property
+    def looks(self) -> tuple[Paint, ...]:
+        """The colours of the things."""
+        return (*(a.look for a in self.actors), *(BallLook() for _ in self.balls))
+
+    def owner_of_thing(self, posed: PosedScene, face: int) -> int:
+        """Index of the person that a face of the posed scene belongs to, -1 for none."""
+        return -1 if face < 0 else self._thing_of_face(posed, face)[0] % len(self.actors)
+
+    def ball_of_face(self, posed: PosedScene, face: int) -> int:
+        """Index of the marker whose ball a face of the posed scene belongs to, -1 for none."""
+        if face < 0:
+            return -1
+        thing, vertex = self._thing_of_face(posed, face)
+        k = thing - len(self.actors)
+        return -1 if k < 0 else vertex // self.balls[k].n_vertices_each
+
+    def _thing_of_face(self, posed: PosedScene, face: int) -> tuple[int, int]:
+        """The thing that a face belongs to, and its first vertex within the thing."""
+        vertex = int(posed.faces[face, 0])
+        i = int(np.searchsorted(posed.first_vertex[1:], vertex, side="right"))
+        return posed.things[i], vertex - posed.first_vertex[i]
+
+    def at(self, instant: float, *, with_light: bool = True) -> PosedScene:
+        """All bodies at an instant, in frames of the session, ready for ray casting."""
+        posed = {i: a.posed(instant) for i, a in enumerate(self.actors)}
+        posed = {i: p for i, p in posed.items() if self.room.holds_some(p[0])}
+        for k, balls in enumerate(self.balls):
+            if k in posed:
+                posed[len(self.actors) + k] = balls.pose(balls.markers.positions(*posed[k]))
+        return posed_scene(
+            tuple(self.things[i] for i in posed),
+            list(posed.values()),
+            self.room,
+            things=tuple(posed),
+            with_light=with_light,
+        )
 
 
 def rng_at(seed: int, *address: int) -> np.random.Generator:
@@ -89,54 +206,43 @@ def build_world(scene: Scene, *, seed: int | None = None) -> World:
     seed : replaces the scene's seed and moves the persons' seeds along with it.
     """
     base = scene.seed if seed is None else seed
-    furniture = np.array([[b.lower_m, b.upper_m] for b in scene.room.furniture], dtype=np.float64).reshape(
-        -1, 2, 3
+    furniture, tint = furniture_boxes(scene.room.furniture)
+    room = make_room(
+        scene.room.size_m, floor=scene.room.floor, furniture=furniture, tint=tint, rng=rng_at(base, 1)
     )
-    room = make_room(scene.room.size_m, floor=scene.room.floor, furniture=furniture, rng=rng_at(base, 1))
-    rig = make_ring(
-        scene.rig.n_cameras,
-        radius_m=scene.rig.radius_m,
-        height_m=scene.rig.height_m,
-        focal_px=scene.rig.focal_px,
-        size=scene.rig.size_px,
-        distortion=scene.rig.distortion,
-        room=room,
-        rng=rng_at(base, 2),
-    )
+    rig = make_rig(scene.rig, room, rng=rng_at(base, 2))
+    cameras = {c.name: moved_cameras(c, scene.faults) for c in rig}
+    timelines = {n: timeline(n, scene.faults, scene.n_frames, scene.fps) for n in rig.names}
+    shutter_frames = (scene.picture.exposure_ms + scene.picture.readout_ms) / 1000 * scene.fps / 2
+    lead = max(0, int(np.ceil(shutter_frames - min(t.instant.min() for t in timelines.values()))))
+    last = max(float(t.instant.max()) for t in timelines.values()) + shutter_frames
+    n_motion = lead + max(scene.n_frames, int(np.ceil(last)) + 1)
     shift = 0 if seed is None else seed * 7919
     actors = tuple(
-        _actor(scene, i + 1, person, person.seed + shift) for i, person in enumerate(scene.persons)
+        _actor(scene, room, i + 1, person, person.seed + shift, lead=lead, n_motion=n_motion)
+        for i, person in enumerate(scene.persons)
     )
-    return World(scene, base, room, rig, actors)
+    return World(scene, base, room, rig, cameras, timelines, actors)
 
 
-def _actor(scene: Scene, number: int, person: Person, seed: int) -> Actor:
-    rng = rng_at(seed, 3)
-    sex = person.sex or ("male" if rng.uniform() < 0.5 else "female")
-    drawn = rng.normal(1.765, 0.07) if sex == "male" else rng.normal(1.645, 0.065)
-    height = person.height_m or float(np.clip(drawn, 1.45, 2.0))
-    build = person.build or float(np.clip(rng.normal(1.0, 0.08), 0.82, 1.25))
-    body = build_body(make_figure(height, sex, build, rng=rng_at(seed, 4)))
-    look = make_look(rng=rng_at(seed, 5), sex=sex)
-    motion = person.motion
-    if isinstance(motion, WalkMotion):
-        path = FloorPath(
-            motion.center_m, motion.radii_m, float(np.deg2rad(motion.start_deg)), motion.clockwise
-        )
-        pose = MOTIONS["walk"](
-            body.figure, scene.n_frames, scene.fps, path=path, speed_m_s=motion.speed_m_s, rng=rng_at(seed, 6)
-        )
-    else:
-        pose = MOTIONS[motion.kind](
-            body.figure,
-            scene.n_frames,
-            scene.fps,
-            position=motion.position_m,
-            heading_rad=float(np.deg2rad(motion.heading_deg)),
-            rng=rng_at(seed, 6),
-        )
+def _actor(
+    scene: Scene, room: Room, number: int, person: Person, seed: int, *, lead: int, n_motion: int
+) -> Actor:
+    """One person; the motion begins `lead` frames before the session and has `n_motion` frames."""
+    body, look = cast(person, room, lambda k: rng_at(seed, k))
+    arguments = person.motion.arguments()
+    if "start_s" in arguments:
+        arguments["start_s"] += lead / scene.fps
+    if person.motion.kind == "fall":
+        arguments["body"] = body  # what touches the floor is the flesh that is rendered
+    try:
+        pose = MOTIONS[person.motion.kind](body.figure, n_motion, scene.fps, rng=rng_at(seed, 6), **arguments)
+    except ValueError as error:  # what only this body cannot do, such as a seat too high for its legs
+        raise MocapError(f"persons.{number - 1}.motion: {error}", remedy="correct the scene file") from error
     position, rotation = forward_kinematics(body.figure.offsets, pose.rotations, pose.root_position)
-    return Actor(number, body, look, pose, position, rotation, landmarks_of(body.figure, position, rotation))
+    landmarks = landmarks_of(body.figure, position, rotation)[lead : lead + scene.n_frames]
+    markers = None if scene.markers is None else place_markers(body, scene.markers.radius_m)
+    return Actor(number, body, look, pose, position, rotation, landmarks, lead, markers)
 
 
 def write_session(
@@ -159,20 +265,22 @@ def write_session(
         folder = Path(scratch) / "session"
         folder.mkdir()
         groups = [list(world.rig.names[k :: max(workers, 1)]) for k in range(max(workers, 1))]
-        groups = [g for g in groups if g]
+        # This process writes the truth too: it takes the smallest group.
+        groups = [g for g in groups if g][::-1]
         total = len(world.rig) * scene.n_frames
         jobs = _start_workers(scene, seed, groups[1:], folder, Path(scratch))
         try:
             _write_head(world, folder)
 
-            def pictures(done: int) -> None:
-                report("pictures", min(done * len(groups), total), total)
+            def pictures(share: float) -> None:
+                report("pictures", round(share * total), total)
 
             render_cameras(world, groups[0], folder, progress=pictures)
-            _write_truth(world, folder, report)
+            write_truth(world, folder / "truth", report)
             for job in jobs:
                 if job.wait() != 0:
                     raise RuntimeError(f"a rendering process failed with exit code {job.returncode}")
+            _write_detections(world, folder)
         finally:
             for job in jobs:
                 if job.poll() is None:
@@ -212,73 +320,52 @@ def work(job_file: str) -> None:
 
 
 def render_cameras(
-    world: World, names: list[str], folder: Path, *, progress: Callable[[int], None] | None = None
+    world: World, names: list[str], folder: Path, *, progress: Callable[[float], None] | None = None
 ) -> None:
-    """Videos, background clips and true silhouettes of some cameras."""
+    """Clips, background clips and true silhouettes of some cameras.  progress : called with the share done."""
     scene = world.scene
-    order = {n: i for i, n in enumerate(world.rig.names)}
-    views = {n: CameraView(world.rig[n], world.room) for n in names}
-    sensors = {n: _sensor(world, order[n]) for n in names}
-    masks: dict[str, list[NDArray[np.uint8]]] = {n: [] for n in names}
-    (folder / "truth" / "masks").mkdir(parents=True, exist_ok=True)
-    writers: dict[str, cv2.VideoWriter] = {}
     n_threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the pictures are small and there is a process per core
+    recorders = [Recorder(world, n, folder) for n in names]
+    moments = Moments(world, with_light=not scene.masks_only)
     try:
-        if not scene.masks_only:
-            if scene.with_background:
-                for n in names:
-                    clip = _open_video(folder / "background" / f"{n}.mp4", scene.fps, scene.rig.size_px)
-                    for frame in range(scene.n_background_frames):
-                        rng = rng_at(world.seed, 8, order[n], frame)
-                        clip.write(sensors[n].expose(views[n].empty, 0, rng=rng)[..., ::-1])
-                    clip.release()
-            for n in names:
-                writers[n] = _open_video(folder / "videos" / f"{n}.mp4", scene.fps, scene.rig.size_px)
-        for frame in range(scene.n_frames):
-            posed = world.at(frame, with_light=not scene.masks_only)
-            for n in names:
-                if scene.masks_only:
-                    mask = views[n].silhouette(posed)
-                    path = folder / "masks" / n / f"{frame:06d}.png"
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    cv2.imwrite(str(path), mask.astype(np.uint8) * 255)
-                else:
-                    picture, mask = views[n].render(posed, world.bodies, world.looks)
-                    image = sensors[n].expose(picture, frame, rng=rng_at(world.seed, 9, order[n], frame))
-                    writers[n].write(image[..., ::-1])
-                masks[n].append(np.packbits(mask, axis=1))
+        if scene.with_background and not scene.masks_only:
+            for recorder in recorders:
+                recorder.record_background()
+        last = max(len(r.timeline) for r in recorders)
+        for frame in range(last):
+            for recorder in recorders:
+                if frame < len(recorder.timeline):
+                    recorder.record(frame, moments)
             if progress is not None:
-                progress((frame + 1) * len(names))
+                progress((frame + 1) / last)
     finally:
         cv2.setNumThreads(n_threads)
-        for writer in writers.values():
-            writer.release()
-    for n in names:
-        np.savez_compressed(folder / "truth" / "masks" / f"{n}.npz", masks=np.stack(masks[n]))
+        for recorder in recorders:
+            recorder.close()
 
 
-def _sensor(world: World, camera: int) -> Sensor:
-    picture = world.scene.picture
-    return make_sensor(
-        world.scene.n_frames,
-        world.scene.rig.size_px,
-        noise_levels=picture.noise_levels,
-        light_drift=picture.light_drift,
-        colour_cast=picture.colour_cast,
-        fps=world.scene.fps,
-        rng=rng_at(world.seed, 7, camera),
-    )
-
-
-def _open_video(path: Path, fps: float, size: tuple[int, int]) -> cv2.VideoWriter:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
-    if not writer.isOpened():
-        raise MocapError(
-            "this OpenCV cannot write mp4v video", path=path, remedy="reinstall opencv-python-headless"
+def _write_detections(world: World, folder: Path) -> None:
+    """detections/ of the simulated detector; for rendered balls the labels that a person would give in one frame."""
+    config = world.scene.markers
+    if config is None:
+        return
+    if config.detections:
+        found = make_detections(
+            folder,
+            detection_rate=config.detection_rate,
+            false_positives=config.false_positives,
+            noise_variance_px2=config.noise_variance_px2,
+            rng=rng_at(world.seed if config.seed is None else config.seed, 12),
         )
-    return writer
+        write_detections(folder, found)
+    if config.balls:
+        lines = ["camera,frame,u_px,v_px"]
+        for name in world.rig.names:
+            with np.load(folder / "truth" / "views" / f"{name}.npz") as data:
+                seen = data["marker_uv"][0][data["marker_state"][0] == Sight.VISIBLE]
+            lines += [f"{name},0,{u:.2f},{v:.2f}" for u, v in seen]
+        (folder / "marker_labels.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _write_head(world: World, folder: Path) -> None:
@@ -290,97 +377,3 @@ def _write_head(world: World, folder: Path) -> None:
     lower, upper = ([float(x) for x in corner] for corner in scene.room.capture_m)
     text = f"fps = {float(scene.fps)}\nroom_bounds_m = [{lower}, {upper}]\n"
     (folder / "session.toml").write_text(text, encoding="utf-8")
-
-
-def _write_truth(world: World, folder: Path, report: Progress) -> None:
-    scene = world.scene
-    truth = folder / "truth"
-    truth.mkdir(exist_ok=True)
-    frames = np.arange(scene.n_frames, dtype=np.int64)
-    times = frames / scene.fps
-    write_landmarks_csv(
-        truth / "landmarks.csv", [Motion(a.person, frames, times, a.landmarks) for a in world.actors]
-    )
-    lower, upper = (np.array(c) for c in scene.room.capture_m)
-    grid = VoxelGrid.from_bounds(lower, upper, TRUTH_VOXEL_M)
-    rows: list[tuple[int, int, Array]] = []
-    volumes: list[list[float]] = []
-    solids = []
-    for frame in range(scene.n_frames):
-        inside = []
-        volume_now = []
-        for actor in world.actors:
-            vertices, _ = actor.posed(frame)
-            volume, centroid = mesh_volume_and_centroid(vertices, actor.body.faces)
-            rows.append((frame, actor.person, centroid))
-            volume_now.append(volume)
-            inside.append(solid_voxels(vertices, actor.body.faces, grid))
-        volumes.append(volume_now)
-        solids.append(np.unique(np.concatenate(inside)) if inside else np.zeros(0, np.int32))
-        report("truth", frame + 1, scene.n_frames)
-    frame_column = np.array([r[0] for r in rows], dtype=np.int64)
-    write_tracks_csv(
-        truth / "tracks.csv",
-        Tracks(
-            frame_column,
-            np.array([r[1] for r in rows], dtype=np.int64),
-            frame_column / scene.fps,
-            np.array([r[2] for r in rows], dtype=np.float64).reshape(-1, 3),
-        ),
-    )
-    np.savez_compressed(
-        truth / "voxels.npz",
-        origin_m=grid.origin,
-        shape=np.array(grid.shape, dtype=np.int64),
-        voxel_size_m=np.float64(TRUTH_VOXEL_M),
-        offsets=np.concatenate([[0], np.cumsum([len(s) for s in solids])]).astype(np.int64),
-        voxels=np.concatenate(solids).astype(np.int32),
-    )
-    for actor in world.actors:
-        np.savez_compressed(
-            truth / f"pose_{actor.person}.npz",
-            joints=np.array(JOINTS),
-            offsets_m=actor.body.figure.offsets,
-            root_position_m=actor.pose.root_position,
-            rotations=actor.pose.rotations.astype(np.float32),
-            contact=actor.pose.contact,
-        )
-    persons = [
-        {
-            "person": a.person,
-            "height_m": round(a.body.figure.stature_m, 4),
-            "clothed_height_m": round(_clothed_height(a.body), 4),
-            "sex": a.body.figure.sex,
-            "build": round(a.body.figure.build, 3),
-            "motion": p.motion.kind,
-            "volume_m3": round(float(np.mean([v[i] for v in volumes])), 5),
-            "limbs_m": {
-                "upper_arm": round(a.body.figure.upper_arm_m, 5),
-                "forearm": round(a.body.figure.forearm_m, 5),
-                "thigh": round(a.body.figure.thigh_m, 5),
-                "shank": round(a.body.figure.shank_m, 5),
-            },
-        }
-        for i, (a, p) in enumerate(zip(world.actors, scene.persons, strict=True))
-    ]
-    about = {
-        "scene": scene.name,
-        "seed": world.seed,
-        "fps": scene.fps,
-        "frames": scene.n_frames,
-        "persons": persons,
-        "room_size_m": list(scene.room.size_m),
-        "furniture_m": [[list(b.lower_m), list(b.upper_m)] for b in scene.room.furniture],
-        "voxels": "voxels.npz: a voxel is set when its centre is inside the posed mesh (winding number); "
-        "linear C-order indices, offsets per frame",
-    }
-    (truth / "truth.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-
-
-def _clothed_height(body: Body) -> float:
-    """Shoe sole to the top of the hair in the neutral pose, m."""
-    figure = body.figure
-    rotations = np.tile(np.eye(3), (1, len(JOINTS), 1, 1))
-    root = np.array([[0.0, 0.0, figure.standing_height_m]])
-    position, rotation = forward_kinematics(figure.offsets, rotations, root)
-    return float(landmarks_of(figure, position, rotation)[0, 2, 2])

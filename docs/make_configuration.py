@@ -97,11 +97,17 @@ def value_words(value: Any) -> str:
 def section_text(name: str, model: type[BaseModel]) -> str:
     """The table of one section."""
     intro = _WORDS.get(name) or " ".join((model.__doc__ or "").split())
-    lines = [f"## [{name}]", "", intro, "", "| key | default | values | meaning |", "|---|---|---|---|"]
-    for key, field in model.model_fields.items():
-        words = _WORDS.get(f"{name}.{key}") or " ".join((field.description or "").split())
+    return table_text(f"[{name}]", intro, {f"{name}.{key}": f for key, f in model.model_fields.items()})
+
+
+def table_text(heading: str, intro: str, fields: dict[str, FieldInfo]) -> str:
+    """Heading, words and table of some keys, given by their dotted paths."""
+    lines = [f"## {heading}", "", intro, "", "| key | default | values | meaning |", "|---|---|---|---|"]
+    for path, field in fields.items():
+        key = path.rpartition(".")[2]
+        words = _WORDS.get(path) or " ".join((field.description or "").split())
         if not words:
-            raise ValueError(f"{name}.{key} has no description: write one in config.py or in _WORDS")
+            raise ValueError(f"{path} has no description: write one in config.py or in _WORDS")
         values = type_words(field.annotation) + range_words(field)
         cells = (f"`{key}`", value_words(field.default), values, words)
         lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
@@ -115,9 +121,13 @@ def preset_text() -> str:
         text = (resources.files("configs") / f"{name}.toml").read_text("utf-8")
         comment = " ".join(line.lstrip("# ") for line in text.splitlines() if line.startswith("#"))
         changes = [
-            f"`{section}.{key} = {str(value).lower() if isinstance(value, bool) else value}`"
+            f"`{path} = {str(value).lower() if isinstance(value, bool) else value}`"
             for section, table in tomllib.loads(text).items()
-            for key, value in table.items()
+            for path, value in (
+                {f"{section}.{key}": v for key, v in table.items()}
+                if isinstance(table, dict)
+                else {section: table}
+            ).items()
         ]
         lines.append(f"| `{name}` | {'<br>'.join(changes) or 'nothing'} | {comment} |")
     return "\n".join(lines) + "\n"
@@ -125,11 +135,14 @@ def preset_text() -> str:
 
 def page() -> str:
     """The whole page."""
-    sections = []
+    sections, plain = [], {}
     for name, field in Config.model_fields.items():
-        assert isinstance(field.annotation, type)
-        sections.append(section_text(name, field.annotation))
-    return "\n".join([_HEAD, preset_text(), *sections])
+        if isinstance(field.annotation, type):
+            sections.append(section_text(name, field.annotation))
+        else:
+            plain[name] = field
+    top = table_text("Outside the sections", "`--set` takes these without a section.", plain)
+    return "\n".join([_HEAD, preset_text(), top, *sections])
 
 
 def main(argv: list[str]) -> int:

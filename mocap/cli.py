@@ -52,6 +52,10 @@ ResumeOption = Annotated[
     bool, typer.Option("--resume", help="Reuse stage products in OUT that nothing has changed for.")
 ]
 FilterOption = Annotated[str | None, typer.Option("--filter", help="Pose filter; see --list-filters.")]
+ObservationOption = Annotated[
+    str | None,
+    typer.Option("--observation", help="voxels, markers or auto (markers when the session has detections/)."),
+]
 
 
 def main() -> None:
@@ -139,10 +143,13 @@ def _progress() -> Iterator[Progress]:
     yield say
 
 
-def _config(preset: str, settings: list[str] | None, filter_name: str | None = None) -> Any:
+def _config(
+    preset: str, settings: list[str] | None, filter_name: str | None = None, observation: str | None = None
+) -> Any:
     from mocap.pipeline.config import load_config
 
     extra = [f"pose.filter={filter_name}"] if filter_name else []
+    extra += [f"observation={observation}"] if observation else []
     return load_config(preset, (*(settings or []), *extra))
 
 
@@ -167,10 +174,11 @@ def _run(
     threads: int | None,
     resume: bool,
     filter_name: str | None = None,
+    observation: str | None = None,
 ) -> RunResult:
     from mocap.pipeline.run import run_session
 
-    config = _config(preset, settings, filter_name)
+    config = _config(preset, settings, filter_name, observation)
     with _progress() as progress:
         result = run_session(
             session,
@@ -290,6 +298,7 @@ def run(
     preset: PresetOption = "default",
     settings: SetOption = None,
     filter_name: FilterOption = None,
+    observation: ObservationOption = None,
     seed: SeedOption = 0,
     frames: FramesOption = None,
     until: Annotated[
@@ -322,6 +331,7 @@ def run(
         threads=threads,
         resume=resume,
         filter_name=filter_name,
+        observation=observation,
     )
 
 
@@ -377,6 +387,34 @@ def evaluate(
 
 
 @app.command()
+def export(
+    result: Annotated[Path, typer.Argument(help="Output folder of a run.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
+    what: Annotated[str, typer.Option("--what", help="voxels or motion.")] = "voxels",
+    format: Annotated[
+        str | None, typer.Option("--format", help="voxels: ply, npz, glb; motion: bvh, trc, c3d, glb.")
+    ] = None,
+    frames: FramesOption = None,
+    cubes: Annotated[bool, typer.Option("--cubes", help="PLY with coloured cubes instead of points.")] = False,
+) -> None:
+    """Coloured voxels per frame, or motion, from a finished run, for other tools."""
+    from mocap.pipeline.export import export_run
+
+    with _progress() as progress:
+        written = export_run(
+            result,
+            out,
+            what=what,
+            format=format,
+            frames=_parse_frames(frames),
+            cubes=cubes,
+            progress=progress,
+        )
+    more = f" ... {written[-1].name}" if len(written) > 1 else ""
+    typer.echo(f"{len(written)} file{'s' * (len(written) != 1)}: {written[0]}{more}")
+
+
+@app.command()
 def check(
     session: SessionPath,
     calibration: CalibrationOption = None,
@@ -416,6 +454,9 @@ def synth(
     workers: Annotated[
         int, typer.Option("--workers", min=1, help="Processes; the result does not depend on it.")
     ] = 2,
+    body: Annotated[
+        str | None, typer.Option("--body", help="Kind of all bodies: own, or anny (optional package anny).")
+    ] = None,
     preview: Annotated[
         Path | None, typer.Option("--preview", help="Also write a contact sheet (PNG) of the session.")
     ] = None,
@@ -425,9 +466,12 @@ def synth(
 ) -> None:
     """Make a synthetic session with exact truth."""
     from data_synth import synthesise
+    from data_synth.preview import check_picture_name
 
+    if preview is not None:
+        check_picture_name(preview)
     with _progress() as progress:
-        path = synthesise(scene, out, seed=seed, workers=workers, progress=progress)
+        path = synthesise(scene, out, seed=seed, workers=workers, body=body, progress=progress)
     if preview is not None:
         from data_synth.preview import preview_sheet
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import cycle
-from typing import Any
+from itertools import count, cycle
+from typing import Any, Literal
 
 import numpy as np
 
@@ -46,10 +46,30 @@ def carve_one_faulty_ms() -> float:
 
 @measure("carve_table_s", unit="s", better="lower")
 def carve_table_s() -> float:
-    """Building the tables of the carver, once per session."""
+    """A new carver and its first frame: bounds of the whole room, exact tables where the person stands."""
     from mocap.volume import Carver
 
-    return interleaved_medians([lambda: Carver(scene().rig, scene().grid)], 2)[0]
+    s = scene()
+    return interleaved_medians([lambda: Carver(s.rig, s.grid).carve(s.masks[0], n_faulty_views=0)], 3)[0]
+
+
+@measure("vote_volume_ms", unit="ms", better="lower")
+def vote_volume_ms() -> float:
+    """Soft volume of one frame: the votes of all voxels that at least four of seven cameras see as foreground."""
+    frames = cycle(scene().masks)
+    return interleaved_medians([lambda: _carver().votes(next(frames), min_votes=4)], 20)[0] * 1e3
+
+
+@measure("consistency_ms", unit="ms", better="lower")
+def consistency_ms() -> float:
+    """Evidence about camera faults from the masks and pictures of one frame."""
+    from mocap.volume import ConsistencyMonitor
+
+    s = scene()
+    monitor = ConsistencyMonitor(s.rig, s.grid)
+    frames = cycle(zip(s.masks, s.images, strict=True))
+    numbers = count()
+    return interleaved_medians([lambda: monitor.add(next(numbers), *next(frames))], 40)[0] * 1e3
 
 
 @measure("carve_over_bruteforce", unit="x", better="higher")
@@ -113,15 +133,43 @@ def carve_over_open3d() -> float | Skip:
 @measure("surface_colour_ms", unit="ms", better="lower")
 def surface_colour_ms() -> float:
     """Surface voxels, visibility by line of sight, mean colour."""
+    return interleaved_medians([_colouring("line")], 30)[0] * 1e3
+
+
+@measure("surface_colour_zbuffer_ms", unit="ms", better="lower")
+def surface_colour_zbuffer_ms() -> float:
+    """The same with a depth buffer per camera."""
+    return interleaved_medians([_colouring("zbuffer")], 30)[0] * 1e3
+
+
+def _colouring(visibility: Literal["line", "zbuffer"]) -> Any:
     from mocap.volume import colour_hull, surface_voxels
 
     s = scene()
     voxels = _carver().carve(s.masks[0], n_faulty_views=0)
 
     def run() -> Any:
-        return colour_hull(voxels, surface_voxels(voxels, s.grid), s.grid, s.rig, s.images[0])
+        is_surface = surface_voxels(voxels, s.grid)
+        return colour_hull(voxels, is_surface, s.grid, s.rig, s.images[0], visibility)
 
-    return interleaved_medians([run], 30)[0] * 1e3
+    return run
+
+
+@measure("zbuffer_agreement", unit="share", better="higher")
+def zbuffer_agreement() -> float:
+    """Share of pairs of surface voxel and camera for which the depth buffer says what the line walk says."""
+    from mocap.volume import surface_voxels, visible_views
+
+    s = scene()
+    same, n = 0, 0
+    for masks in s.masks:
+        voxels = _carver().carve(masks, n_faulty_views=0)
+        is_surface = surface_voxels(voxels, s.grid)
+        line, pixels = visible_views(voxels, is_surface, s.grid, s.rig, "line")
+        buffer, _ = visible_views(voxels, is_surface, s.grid, s.rig, "zbuffer")
+        same += int(np.count_nonzero((line == buffer)[pixels >= 0]))
+        n += int(np.count_nonzero(pixels >= 0))
+    return same / n
 
 
 @measure("surface_map_ms", unit="ms", better="lower")

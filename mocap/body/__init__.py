@@ -1,6 +1,7 @@
 """The body: kinematic tree, flesh, sizes, first pose."""
 
 from mocap.body.flesh import LookUpTable, build_look_up_table
+from mocap.body.hierarchy import hierarchy_presets, limb_presets, load_hierarchy, load_limbs
 from mocap.body.initial import HeightEstimate, candidate_states, head_top, height_from_tops
 from mocap.body.kinematics import (
     cones_of,
@@ -22,9 +23,13 @@ __all__ = [
     "cones_of",
     "head_top",
     "height_from_tops",
+    "hierarchy_presets",
     "joint_transforms",
     "landmarks_of",
+    "limb_presets",
     "load_body_model",
+    "load_hierarchy",
+    "load_limbs",
     "neutral_state",
     "scale_body",
     "skeleton_of",

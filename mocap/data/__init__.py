@@ -1,7 +1,9 @@
 """Frozen containers that every stage speaks."""
 
 from mocap.data.camera import Camera, CameraRig
+from mocap.data.hierarchy import Hierarchy, Level, Limb
 from mocap.data.motion import BONES, LANDMARKS, Motion, Tracks
+from mocap.data.polygons import PolygonTree, corner_positions, object_trees, part_frames, star_tree
 from mocap.data.problem import ArticulatedProblem, ResidualProblem, StateLayout
 from mocap.data.skeleton import Skeleton
 from mocap.data.voxels import Hull, VoxelGrid
@@ -12,11 +14,19 @@ __all__ = [
     "ArticulatedProblem",
     "Camera",
     "CameraRig",
+    "Hierarchy",
     "Hull",
+    "Level",
+    "Limb",
     "Motion",
+    "PolygonTree",
     "ResidualProblem",
     "Skeleton",
     "StateLayout",
     "Tracks",
     "VoxelGrid",
+    "corner_positions",
+    "object_trees",
+    "part_frames",
+    "star_tree",
 ]

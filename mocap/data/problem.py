@@ -19,7 +19,7 @@ class StateLayout:
     names : D column names.  lower, upper : (D,) bounds (infinite where there are none).
     is_circular : (D,) bool, columns that are angles without bounds, defined modulo 2 pi.
     parts : P part names, parents first.  part_of_column : (D,) index of the part that a column moves first.
-    parent_of_part : (P,) index, -1 for the root part.
+    parent_of_part : (P,) index, -1 for a root; several objects in one state have several.
     """
 
     names: tuple[str, ...]
@@ -43,7 +43,7 @@ class StateLayout:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
         if not np.all(self.lower <= self.upper):
             raise ValueError("a lower bound lies above its upper bound")
-        if P and (self.parent_of_part[0] != -1 or np.any(self.parent_of_part[1:] >= np.arange(1, P))):
+        if np.any(self.parent_of_part < -1) or np.any(self.parent_of_part >= np.arange(P)):
             raise ValueError("parts must form a tree with parents listed before their children")
 
     @property
@@ -87,8 +87,11 @@ class ArticulatedProblem(Protocol):
 class OccupancyProblem(Protocol):
     """A problem over voxels, which can also say how much of a part lies where there is data."""
 
-    def occupancy(self, particles: Array) -> Array:
-        """Share of every part's flesh in occupied voxels, of particles (N, D): (N, P)."""
+    def occupancy(self, particles: Array, parts: Sequence[int] | None = None, *, own: bool = False) -> Array:
+        """Share of flesh in occupied voxels, of particles (N, D): (N, P'), one column per part asked for.
+
+        parts : all parts that are placed; None = all.  own : only what no other placed part holds too.
+        """
         ...
 
 

@@ -11,6 +11,14 @@ from mocap.filters.apf import (
     sir_step,
 )
 from mocap.filters.budget import FilterSettings, settings_for
+from mocap.filters.ddma import (
+    DdmaSettings,
+    DdmaState,
+    LimbSettings,
+    ShbmDdmaSettings,
+    ddma_step,
+    shbm_ddma_step,
+)
 from mocap.filters.partitioned import PartitionedSettings
 from mocap.filters.pfcr import pfcr_step
 from mocap.filters.ps import parallel_ps_step, ps_step
@@ -18,6 +26,7 @@ from mocap.filters.psapf import PsapfSettings, psapf_step, sbapf_step
 from mocap.filters.refine import RefineInfo, RefineSettings, refine
 from mocap.filters.sbps import sbps_step
 from mocap.filters.scout import ScoutInfo, ScoutSettings, scout_limbs
+from mocap.filters.shbm import ShbmInfo, ShbmSettings, shbm_settings, shbm_step
 from mocap.filters.swarm import (
     SwarmSettings,
     apsopf_step,
@@ -33,6 +42,9 @@ FilterStep = Callable[..., tuple[ParticleState, FilterInfo]]
 FILTERS: dict[str, FilterStep] = {
     "sir": sir_step,
     "apf": apf_step,
+    "shbm-apf": shbm_step,
+    "ddma-pf": ddma_step,
+    "shbm-ddma-pf": shbm_ddma_step,
     "ps": ps_step,
     "parallel-ps": parallel_ps_step,
     "sbps": sbps_step,
@@ -55,9 +67,12 @@ __all__ = [
     "FILTERS",
     "PART_BY_PART",
     "ApfSettings",
+    "DdmaSettings",
+    "DdmaState",
     "FilterInfo",
     "FilterSettings",
     "FilterStep",
+    "LimbSettings",
     "ParticleState",
     "PartitionedSettings",
     "PsapfSettings",
@@ -65,11 +80,18 @@ __all__ = [
     "RefineSettings",
     "ScoutInfo",
     "ScoutSettings",
+    "ShbmDdmaSettings",
+    "ShbmInfo",
+    "ShbmSettings",
     "SwarmSettings",
     "apf_step",
+    "ddma_step",
     "initial_particles",
     "refine",
     "scout_limbs",
     "settings_for",
+    "shbm_ddma_step",
+    "shbm_settings",
+    "shbm_step",
     "sir_step",
 ]

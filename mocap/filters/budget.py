@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from mocap.data.problem import StateLayout
 from mocap.filters.apf import ApfSettings
+from mocap.filters.ddma import DdmaSettings, ShbmDdmaSettings
 from mocap.filters.partitioned import PartitionedSettings
 from mocap.filters.psapf import PsapfSettings
+from mocap.filters.shbm import ShbmSettings, shbm_settings
 from mocap.filters.swarm import SwarmSettings
 
 Array = NDArray[np.float64]
@@ -55,6 +57,26 @@ def _annealed(budget: Budget) -> ApfSettings:
     )
 
 
+def _structural(budget: Budget) -> ShbmSettings:
+    """Two layers for each model, by depth in the tree of parts; a coarse model's particle costs its parts' share."""
+    return shbm_settings(
+        budget.layout,
+        budget.std,
+        budget.n_evaluations,
+        alpha=budget.alpha,
+        resampling=budget.resampling,
+    )
+
+
+def _adaptive(budget: Budget) -> DdmaSettings:
+    """The annealed filter's budget; scouts for lost limbs come on top."""
+    return DdmaSettings(_annealed(budget))
+
+
+def _structural_adaptive(budget: Budget) -> ShbmDdmaSettings:
+    return ShbmDdmaSettings(_structural(budget))
+
+
 def _partitioned(budget: Budget) -> PartitionedSettings:
     """Every particle is scored once per part, which makes one evaluation: n_particles * n_layers particles."""
     return PartitionedSettings(n_particles=budget.n_evaluations, std=budget.std, resampling=budget.resampling)
@@ -87,6 +109,9 @@ def _swarm(budget: Budget) -> SwarmSettings:
 SETTINGS: dict[str, Callable[[Budget], FilterSettings]] = {
     "sir": _annealed,
     "apf": _annealed,
+    "shbm-apf": _structural,
+    "ddma-pf": _adaptive,
+    "shbm-ddma-pf": _structural_adaptive,
     "ps": _partitioned,
     "parallel-ps": _partitioned,
     "sbps": _partitioned,

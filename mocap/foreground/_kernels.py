@@ -1,4 +1,10 @@
-"""Compiled loops of the foreground stage. Arrays and scalars only; each has a numpy twin in the tests."""
+"""Compiled loops of the foreground stage. Arrays and scalars only; each has a numpy twin in the tests.
+
+Pictures come as rows, (H, 3 W) uint8: red, green, blue of pixel x at 3 x. A window is the part of a picture that
+is looked at closely; its planes are (h, w) and contiguous. Sums over squares of 2 k + 1 pixels are made of sums
+over columns, which are carried on from row to row; pixels beyond the window count nothing. Division by zero gives
+infinity instead of an exception, whose test would keep the compiler from working on many pixels at once.
+"""
 
 from __future__ import annotations
 
@@ -50,129 +56,454 @@ def robust_statistics(samples, far, mean, std, moved):
         moved[i] = np.uint8(np.int32(values[n - 1]) - center > far or center - np.int32(values[0]) > far)
 
 
-@njit(cache=True, nogil=True)
-def difference(image, background, threshold, largest, candidate):
-    """largest = max over channels of |image - background|, candidate = 255 where it exceeds the threshold.
+CELL = 16  # side of the square cells that are searched for differences, px
+FOREGROUND = np.uint8(1)
+SHADOW = np.uint8(2)
+_LEVELS = 16  # fixed point of colour residuals: 1/16 grey level at best
+_RATIO = 1024  # fixed point of brightness ratios
+_RATIO_BINS = 2048  # of the histogram over ratios 0 .. 2
 
-    image, background : (3 n,) uint8.  threshold, largest, candidate : (n,) uint8.
+
+@njit(cache=True, nogil=True, inline="always")
+def _far(a, b, i):
+    """Largest difference over the channels of pixel i of two rows."""
+    a0, b0 = a[3 * i], b[3 * i]
+    a1, b1 = a[3 * i + 1], b[3 * i + 1]
+    a2, b2 = a[3 * i + 2], b[3 * i + 2]
+    return max(
+        max(np.uint8(max(a0, b0) - min(a0, b0)), np.uint8(max(a1, b1) - min(a1, b1))),
+        np.uint8(max(a2, b2) - min(a2, b2)),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_differences(rows, background, threshold, first, stride, counts):
+    """Pixels of which a channel differs by more than the threshold, counted per cell in every stride-th row.
+
+    rows, background : (H, 3 W) uint8.  threshold : (H, W) uint8.  counts : (ceil(H / 16), ceil(W / 16)) int32, zeros
+    on entry.
     """
-    for i in range(largest.shape[0]):
-        a0, b0 = image[3 * i], background[3 * i]
-        a1, b1 = image[3 * i + 1], background[3 * i + 1]
-        a2, b2 = image[3 * i + 2], background[3 * i + 2]
-        d = max(
-            max(np.uint8(max(a0, b0) - min(a0, b0)), np.uint8(max(a1, b1) - min(a1, b1))),
-            np.uint8(max(a2, b2) - min(a2, b2)),
-        )
-        largest[i] = d
-        candidate[i] = 255 if d > threshold[i] else 0
+    width = threshold.shape[1]
+    for y in range(first, rows.shape[0], stride):
+        cy = y // CELL
+        for cx in range(counts.shape[1]):
+            start, stop = CELL * cx, min(CELL * (cx + 1), width)
+            a, b, t = (
+                rows[y, 3 * start : 3 * stop],
+                background[y, 3 * start : 3 * stop],
+                threshold[y, start:stop],
+            )
+            n = np.uint8(0)
+            for i in range(t.shape[0]):
+                n += np.uint8(_far(a, b, i) > t[i])
+            counts[cy, cx] += n
 
 
-@njit(cache=True, nogil=True)
-def brightness_ratios(image, background, frozen, step, ratios):
-    """Ratios image / background of a raster of usable pixels; returns how many were written.
+@njit(cache=True, nogil=True, error_model="numpy")
+def difference(rows, background, threshold, y0, x0, w, largest, candidate):
+    """largest = max over channels of |picture - background|, candidate = 1 where it exceeds the threshold.
 
-    image, background : (h, w, 3) uint8.  frozen : (h, w) uint8, 0 = background.  ratios : (3, n) float32 out.
+    rows, background : (H, 3 W) uint8.  threshold : (H, W) uint8.  largest, candidate : (h, at least w) uint8, the
+    window whose corner is (y0, x0); columns from w on stay as they are.
     """
+    for y in range(largest.shape[0]):
+        a = rows[y0 + y, 3 * x0 : 3 * (x0 + w)]
+        b = background[y0 + y, 3 * x0 : 3 * (x0 + w)]
+        t = threshold[y0 + y, x0 : x0 + w]
+        far, found = largest[y], candidate[y]
+        for i in range(w):
+            d = _far(a, b, i)
+            far[i] = d
+            found[i] = np.uint8(d > t[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def median_gain(rows, background, excluded, step, gain):
+    """Median ratio picture / background of each channel over a raster of usable pixels; their number.
+
+    rows, background : (H, 3 W) uint8.  excluded : (H, W) uint8, 0 = may be used.  gain : (3,) float64 out, 1 when
+    there is no pixel. The median is read from a histogram; ratios of 2 and more count as 2.
+    """
+    bins = np.zeros((3, _RATIO_BINS), dtype=np.int32)
     n = 0
-    for y in range(step // 2, image.shape[0], step):
-        for x in range(step // 2, image.shape[1], step):
-            usable = frozen[y, x] == 0
+    for y in range(step // 2, excluded.shape[0], step):
+        for x in range(step // 2, excluded.shape[1], step):
+            usable = excluded[y, x] == 0
             for c in range(3):
-                usable &= (background[y, x, c] > 20) & (background[y, x, c] < 250) & (image[y, x, c] < 250)
+                b, a = background[y, 3 * x + c], rows[y, 3 * x + c]
+                usable &= (b > 20) & (b < 250) & (a < 250)
             if usable:
-                for c in range(3):
-                    ratios[c, n] = np.float32(image[y, x, c]) / np.float32(background[y, x, c])
                 n += 1
+                for c in range(3):
+                    ratio = np.float64(rows[y, 3 * x + c]) / np.float64(background[y, 3 * x + c])
+                    bins[c, min(int(ratio * (_RATIO_BINS // 2)), _RATIO_BINS - 1)] += 1
+    for c in range(3):
+        gain[c] = 1.0
+        below = 0
+        for k in range(_RATIO_BINS):
+            if n > 0 and 2 * (below + bins[c, k]) >= n:
+                # Ratios spread evenly inside the bin that holds the median.
+                gain[c] = (k + (0.5 * n - below) / bins[c, k]) / (_RATIO_BINS // 2)
+                break
+            below += bins[c, k]
     return n
 
 
-@njit(cache=True, nogil=True)
-def chroma_residual(image, background, ratio, residual):
-    """Best brightness ratio r of image to background, and image - r * background in red and blue.
+@njit(cache=True, nogil=True, error_model="numpy")
+def scale_rows(rows, factor, out):
+    """out = rows * factor / 65536, rounded, at most 255.  rows, out : (H, 3 W) uint8.  factor : (3 W,) int64."""
+    factor32 = factor.astype(np.uint32)
+    for y in range(rows.shape[0]):
+        a, o = rows[y], out[y]
+        for i in range(a.shape[0]):
+            o[i] = np.uint8(
+                min((np.uint32(a[i]) * factor32[i] + np.uint32(32768)) >> np.uint32(16), np.uint32(255))
+            )
 
-    image, background : (h, w, 3) uint8.  ratio : (h, w) float32 out.  residual : (h, w, 2) float32 out.
+
+@njit(cache=True, nogil=True)
+def spans_of(mask, low, high):
+    """First column that is not 0 and the one after the last, per row; (w, 0) for a row of zeros.
+
+    mask : (h, w) uint8, w a multiple of 8.  low, high : (h,) int64 out.
     """
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            i0, i1, i2 = np.float32(image[y, x, 0]), np.float32(image[y, x, 1]), np.float32(image[y, x, 2])
-            b0 = np.float32(background[y, x, 0])
-            b1 = np.float32(background[y, x, 1])
-            b2 = np.float32(background[y, x, 2])
-            r = (i0 * b0 + i1 * b1 + i2 * b2) / (b0 * b0 + b1 * b1 + b2 * b2 + np.float32(1.0))
-            ratio[y, x] = r
-            residual[y, x, 0] = i0 - r * b0
-            residual[y, x, 1] = i2 - r * b2
+    h, w = mask.shape
+    words = mask.view(np.uint64)
+    for y in range(h):
+        word = words[y]
+        first, last = w // 8, -1
+        for k in range(w // 8):
+            if word[k] != 0:
+                first = min(first, k)
+                last = k
+        low[y], high[y] = 8 * first, 8 * (last + 1)
+        while low[y] < high[y] and mask[y, low[y]] == 0:
+            low[y] += 1
+        while high[y] > low[y] and mask[y, high[y] - 1] == 0:
+            high[y] -= 1
 
 
-@njit(cache=True, nogil=True)
-def split_shadow(
-    candidate, ratio, residual, smooth, background, darkest, brightest, chroma, chroma_pixel, tint,
+@njit(cache=True, nogil=True, error_model="numpy")
+def shadow_test(
+    rows, background, y0, x0, w, candidate, half, darkest, brightest, chroma_pixel, chroma, least_chroma, edge, noise,
     foreground, shadow,
 ):  # fmt: skip
-    """Foreground (1) and shadow (1) of the candidates; see segment.ForegroundSettings for the numbers.
+    """Splits candidates: foreground = 1 or shadow = 1.
 
-    residual, smooth : (h, w, 2) float32, red and blue, per pixel and averaged over a window.
+    rows, background : (H, 3 W) uint8.  candidate : (h, at least w) uint8, 0 or 1, columns a multiple of 8: the window
+    whose corner is (y0, x0), candidates only in its first w columns.  foreground, shadow : like candidate, 0 on
+    entry.
+    A candidate is a shadow when (a) its brightness ratio to the background lies in (darkest, brightest) and its own
+    colour residual is below chroma_pixel levels in every channel; (b) the mean residual of the pixels of (a) in the
+    square of 2 half + 1 about it stays below max(chroma * brightness of the shadowed background, least_chroma); (c)
+    the ratio changes by less than `edge` per pixel, or by less than `noise` levels. Then the majority of the
+    candidates in the same square decides.
     """
-    tiny = np.float32(1.0)
-    for y in range(candidate.shape[0]):
-        for x in range(candidate.shape[1]):
-            foreground[y, x] = 0
-            shadow[y, x] = 0
-            if candidate[y, x] == 0:
-                continue
-            b0 = np.float32(background[y, x, 0])
-            b1 = np.float32(background[y, x, 1])
-            b2 = np.float32(background[y, x, 2])
-            r = ratio[y, x]
-            e0, e2 = residual[y, x, 0], residual[y, x, 1]
-            s0, s2 = smooth[y, x, 0], smooth[y, x, 1]
-            # The residual is orthogonal to the background colour: green follows from red and blue.
-            e1 = -(e0 * b0 + e2 * b2) / max(b1, tiny)
-            s1 = -(s0 * b0 + s2 * b2) / max(b1, tiny)
-            slack = tint * abs(np.float32(1.0) - r) * max(max(b0, b1), b2)
-            single = max(max(abs(e0), abs(e1)), abs(e2))
-            window = max(max(abs(s0), abs(s1)), abs(s2))
-            is_shadow = (
-                (r > darkest) & (r < brightest) & (single < chroma_pixel + slack) & (window < chroma + slack)
+    h = candidate.shape[0]
+    low, high = np.empty(h, np.int64), np.empty(h, np.int64)
+    spans_of(candidate, low, high)
+    # Fixed point: the sum over a square must fit 16 bits.
+    scale = np.float32(min(float(_LEVELS), 32000.0 / (chroma_pixel * (2 * half + 1) ** 2)))
+    # Loops run over unsigned indices: signed ones are tested for wrap-around, and then done pixel by pixel. Each
+    # loop has few arrays, because the compiler tests every pair of them for overlap and else gives up, too.
+    zero, one, two, three = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
+    side, wide = np.uint64(half), np.uint64(2 * half + 1)
+    pad = w + 2 * half  # planes have `half` columns of zeros on both sides
+    red, green = np.empty((h, pad), np.int16), np.empty((h, pad), np.int16)
+    blue, may = np.empty((h, pad), np.int16), np.empty((h, pad), np.int16)
+    for plane in (red, green, blue, may):
+        plane[:, :half] = 0
+        plane[:, half + w :] = 0
+    ratio = np.empty((h, w + 2), dtype=np.int16)
+    level = np.empty((h, w), dtype=np.uint8)
+    real = np.empty((6, w), dtype=np.float32)
+    lowest, highest, limit = np.float32(darkest), np.float32(brightest), np.float32(chroma_pixel)
+    for row in range(h):
+        # What the squares and slopes of the candidates near this row will ask for.
+        begin, end = w, 0
+        for k in range(max(row - half - 1, 0), min(row + half + 2, h)):
+            begin, end = min(begin, low[k]), max(end, high[k])
+        if begin >= end:
+            continue
+        begin, end = max(begin - half - 1, 0), min(end + half + 1, w)
+        y, x, n = np.uint64(row), np.uint64(begin), np.uint64(end - begin)
+        source, at = np.uint64(y0 + row), np.uint64(3 * (x0 + begin))
+        for i in range(zero, n):
+            j = at + three * i
+            a0, b0 = np.float32(rows[source, j]), np.float32(background[source, j])
+            a1, b1 = np.float32(rows[source, j + one]), np.float32(background[source, j + one])
+            a2, b2 = np.float32(rows[source, j + two]), np.float32(background[source, j + two])
+            bb = b0 * b0 + b1 * b1 + b2 * b2 + np.float32(1.0)
+            r = (a0 * b0 + a1 * b1 + a2 * b2) / bb
+            real[0, i], real[1, i] = r, bb
+            real[2, i], real[3, i], real[4, i] = a0 - r * b0, a1 - r * b1, a2 - r * b2
+        for i in range(zero, n):
+            own = max(max(abs(real[2, i]), abs(real[3, i])), abs(real[4, i]))
+            r = real[0, i]
+            real[5, i] = scale if (r > lowest) & (r < highest) & (own < limit) else np.float32(0.0)
+        for i in range(zero, n):
+            ratio[y, x + i + one] = np.int16(min(real[0, i], np.float32(8.0)) * np.float32(_RATIO))
+            level[y, x + i] = np.uint8(min(np.sqrt(real[1, i] * np.float32(1.0 / 3.0)), np.float32(255.0)))
+        for i in range(zero, n):
+            red[y, x + side + i] = np.int16(real[2, i] * real[5, i])
+            green[y, x + side + i] = np.int16(real[3, i] * real[5, i])
+        for i in range(zero, n):
+            blue[y, x + side + i] = np.int16(real[4, i] * real[5, i])
+            may[y, x + side + i] = np.int16(real[5, i] > 0)
+        ratio[row, begin] = ratio[row, begin + 1]
+        ratio[row, end + 1] = ratio[row, end]
+    # A Sobel difference is eight times the change per pixel.
+    steep, loud = np.float32((8.0 * _RATIO * edge) ** 2), np.float32((8.0 * _RATIO * noise) ** 2)
+    share, least = np.float32(chroma * scale / _RATIO), np.float32(least_chroma * scale)
+    vote = np.zeros((h, pad), dtype=np.int16)
+    sums = np.empty((4, pad), dtype=np.int16)
+    total = np.empty((4, w), dtype=np.int16)
+    for row in range(h):
+        if low[row] >= high[row]:
+            continue
+        y, x, n = np.uint64(row), np.uint64(low[row]), np.uint64(high[row] - low[row])
+        _column_sums(red, row, half, x, n, sums, zero)
+        _column_sums(green, row, half, x, n, sums, one)
+        _column_sums(blue, row, half, x, n, sums, two)
+        _column_sums(may, row, half, x, n, sums, three)
+        for p in range(zero, np.uint64(4)):
+            for i in range(zero, n):
+                total[p, i] = sums[p, i]
+            for d in range(one, wide):
+                for i in range(zero, n):
+                    total[p, i] += sums[p, i + d]
+        above, below = np.uint64(max(row - 1, 0)), np.uint64(min(row + 1, h - 1))
+        for i in range(zero, n):
+            j = x + i
+            left = np.int32(ratio[above, j]) + np.int32(2) * np.int32(ratio[y, j]) + np.int32(ratio[below, j])
+            right = (
+                np.int32(ratio[above, j + two])
+                + np.int32(2) * np.int32(ratio[y, j + two])
+                + np.int32(ratio[below, j + two])
             )
-            if is_shadow:
-                shadow[y, x] = 1
-            else:
-                foreground[y, x] = 1
+            upper = (
+                np.int32(ratio[above, j])
+                + np.int32(2) * np.int32(ratio[above, j + one])
+                + np.int32(ratio[above, j + two])
+            )
+            lower = (
+                np.int32(ratio[below, j])
+                + np.int32(2) * np.int32(ratio[below, j + one])
+                + np.int32(ratio[below, j + two])
+            )
+            gx, gy = np.float32(right - left), np.float32(lower - upper)
+            real[0, i] = gx * gx + gy * gy
+        for i in range(zero, n):
+            bright = np.float32(level[y, x + i])
+            smooth = (real[0, i] < steep) | (real[0, i] * bright * bright < loud)
+            allowed = max(share * np.float32(ratio[y, x + i + one]) * bright, least) * np.float32(total[3, i])
+            real[1, i] = allowed if smooth else np.float32(0.0)
+        for i in range(zero, n):
+            worst = max(max(abs(total[0, i]), abs(total[1, i])), abs(total[2, i]))
+            is_shadow = np.int16(np.float32(worst) < real[1, i]) * may[y, x + side + i]
+            vote[y, x + side + i] = np.int16(candidate[y, x + i]) * (np.int16(1) - np.int16(2) * is_shadow)
+    for row in range(h):
+        if low[row] >= high[row]:
+            continue
+        y, x, n = np.uint64(row), np.uint64(low[row]), np.uint64(high[row] - low[row])
+        _column_sums(vote, row, half, x, n, sums, zero)
+        for i in range(zero, n):
+            total[0, i] = sums[0, i]
+        for d in range(one, wide):
+            for i in range(zero, n):
+                total[0, i] += sums[0, i + d]
+        for i in range(zero, n):
+            yes = np.uint8(total[0, i] >= 0)
+            foreground[y, x + i] = candidate[y, x + i] * yes
+            shadow[y, x + i] = candidate[y, x + i] * (np.uint8(1) - yes)
 
 
-@njit(cache=True, nogil=True)
-def adapt_rows(image, mean, background, frozen, first, stride, rate):
-    """Move every stride-th row of the mean towards the image where not frozen; refresh the rounded
-    background.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _column_sums(plane, row, half, x, n, sums, p):
+    """sums[p, i] = sum of column x + i over the rows within `half` of one, for the n + 2 half columns from x on."""
+    zero, end = np.uint64(0), n + np.uint64(2 * half)
+    first = np.uint64(max(row - half, 0))
+    for i in range(zero, end):
+        sums[p, i] = plane[first, x + i]
+    for k in range(first + np.uint64(1), np.uint64(min(row + half + 1, plane.shape[0]))):
+        for i in range(zero, end):
+            sums[p, i] += plane[k, x + i]
 
-    image, background : (h, w, 3) uint8.  mean : (h, w, 3) float32.  frozen : (h, w) uint8, 0 = may adapt.
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def trim_outline(foreground, core, beside, deep, core_far, beside_far, largest, half, share):
+    """Take out of the foreground the pixels of its rim that lie nearer to their surroundings than to the inside.
+
+    Inside and surroundings are the mean difference from the background over `core` and `beside` in the square of
+    2 half + 1 pixels; a pixel outside `deep` goes when its own is below beside + share * (core - beside).
+    core_far, beside_far : largest where core, beside, else 0.  All (h, w) uint8, w a multiple of 8; the first four 0
+    or 1. The foreground is changed.
     """
-    for y in range(first, image.shape[0], stride):
-        for x in range(image.shape[1]):
-            step = rate if frozen[y, x] == 0 else np.float32(0.0)
-            for c in range(3):
-                m = mean[y, x, c]
-                m += step * (np.float32(image[y, x, c]) - m)
-                mean[y, x, c] = m
-                background[y, x, c] = np.uint8(m + np.float32(0.5))
+    h, w = foreground.shape
+    low, high = np.empty(h, np.int64), np.empty(h, np.int64)
+    spans_of(foreground, low, high)
+    sums = np.empty((4, w + 2 * half), dtype=np.uint16)
+    total = np.empty((4, w), dtype=np.uint32)
+    zero, one = np.uint64(0), np.uint64(1)
+    for row in range(h):
+        if low[row] >= high[row]:
+            continue
+        begin, end = max(low[row] - half, 0), min(high[row] + half, w)
+        n, m = np.uint64(high[row] - low[row]), np.uint64(end - begin)
+        # Columns beyond the window count nothing.
+        left = begin - (low[row] - half)
+        sums[:, :left] = 0
+        sums[:, left + end - begin : high[row] - low[row] + 2 * half] = 0
+        _column_sums_of_bytes(core_far, row, half, np.uint64(begin), m, np.uint64(left), sums, zero)
+        _column_sums_of_bytes(core, row, half, np.uint64(begin), m, np.uint64(left), sums, one)
+        _column_sums_of_bytes(beside_far, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(2))
+        _column_sums_of_bytes(beside, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(3))
+        for p in range(zero, np.uint64(4)):
+            for i in range(zero, n):
+                total[p, i] = sums[p, i]
+            for d in range(one, np.uint64(2 * half + 1)):
+                for i in range(zero, n):
+                    total[p, i] += sums[p, i + d]
+        y, x = np.uint64(row), np.uint64(low[row])
+        for i in range(zero, n):
+            if foreground[y, x + i] != 0 and deep[y, x + i] == 0:
+                inside = total[0, i] / max(total[1, i], 1)
+                outside = total[2, i] / max(total[3, i], 1)
+                if inside > outside and largest[y, x + i] < outside + share * (inside - outside):
+                    foreground[y, x + i] = 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _column_sums_of_bytes(plane, row, half, x, n, at, sums, p):
+    """sums[p, at + i] = sum of column x + i over the rows within `half` of one, for n columns."""
+    zero = np.uint64(0)
+    first = np.uint64(max(row - half, 0))
+    for i in range(zero, n):
+        sums[p, at + i] = plane[first, x + i]
+    for k in range(first + np.uint64(1), np.uint64(min(row + half + 1, plane.shape[0]))):
+        for i in range(zero, n):
+            sums[p, at + i] += plane[k, x + i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def label_regions(mask, flags, value, reach, runs, area, flagged):
+    """Connected regions of the pixels that equal `value`, as runs along rows; returns (runs, regions).
+
+    mask, flags : (h, w) uint8 of 0 and 1, w a multiple of 8.  reach : 1 joins corners (8 neighbours), 0 only sides.
+    runs : (h (w / 2 + 1), 4) int32 out, row, first column, column after the last, region.
+    area, flagged : as many int64 out, pixels and pixels with a flag of each region.
+    """
+    h, w = mask.shape
+    words = mask.view(np.uint64)
+    same = np.uint64(0x0101010101010101) * np.uint64(value)
+    other = np.uint64(0x0101010101010101) * np.uint64(1 - value)
+    n = 0
+    before, here = 0, 0  # first runs of the row above and of this row
+    for y in range(h):
+        row, word = mask[y], words[y]
+        start = -1
+        for k in range(w // 8):
+            if word[k] == same:
+                if start < 0:
+                    start = 8 * k
+            elif word[k] == other:
+                if start >= 0:
+                    runs[n, 0], runs[n, 1], runs[n, 2], runs[n, 3] = y, start, 8 * k, n
+                    n += 1
+                    start = -1
+            else:
+                for x in range(8 * k, 8 * k + 8):
+                    if row[x] == value:
+                        if start < 0:
+                            start = x
+                    elif start >= 0:
+                        runs[n, 0], runs[n, 1], runs[n, 2], runs[n, 3] = y, start, x, n
+                        n += 1
+                        start = -1
+        if start >= 0:
+            runs[n, 0], runs[n, 1], runs[n, 2], runs[n, 3] = y, start, w, n
+            n += 1
+        # Two runs of neighbouring rows touch when neither ends before the other begins.
+        i = before
+        for j in range(here, n):
+            while i < here and runs[i, 2] + reach <= runs[j, 1]:
+                i += 1
+            k = i
+            while k < here and runs[k, 1] < runs[j, 2] + reach:
+                a, b = _root(runs, k), _root(runs, j)
+                if a < b:
+                    runs[b, 3] = a
+                elif b < a:
+                    runs[a, 3] = b
+                k += 1
+        before, here = here, n
+    regions = 0
+    for i in range(n):
+        if runs[i, 3] == i:
+            region = regions  # the root comes before all other runs of its region
+            area[region], flagged[region] = 0, 0
+            regions += 1
+        else:
+            region = -1 - runs[runs[i, 3], 3]
+        runs[i, 3] = -1 - region
+        count = 0
+        f = flags[runs[i, 0], runs[i, 1] : runs[i, 2]]
+        for x in range(f.shape[0]):
+            count += f[x]
+        area[region] += runs[i, 2] - runs[i, 1]
+        flagged[region] += count
+    for i in range(n):
+        runs[i, 3] = -1 - runs[i, 3]
+    return n, regions
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _root(runs, i):
+    while runs[i, 3] != i:
+        runs[i, 3] = runs[runs[i, 3], 3]
+        i = runs[i, 3]
+    return i
 
 
 @njit(cache=True, nogil=True)
-def count_regions(labels, flags, area, flagged):
-    """Pixels, and pixels with a flag that is not 0, of each label; area, flagged : (n,) int64 zeros on entry."""
-    for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            label = labels[y, x]
-            area[label] += 1
-            if flags[y, x] != 0:
-                flagged[label] += 1
+def paint_regions(mask, runs, n_runs, chosen, value):
+    """Set the pixels of the chosen regions to a value.  runs : of label_regions.  chosen : (regions,) bool."""
+    for i in range(n_runs):
+        if chosen[runs[i, 3]]:
+            mask[runs[i, 0], runs[i, 1] : runs[i, 2]] = value
 
 
-@njit(cache=True, nogil=True)
-def select_regions(labels, keep, out):
-    """out = keep[labels]; labels : (h, w) int32, keep : (n,) uint8, out : (h, w) uint8."""
-    for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            out[y, x] = keep[labels[y, x]]
+@njit(cache=True, nogil=True, error_model="numpy")
+def adapt_rows(rows, background, mean, threshold, near, protect, age, first, stride, rate, patience):
+    """Move every stride-th row of the mean towards the picture where that is background; refresh the background.
+
+    rows, background : (H, 3 W) uint8.  threshold : (H, W) uint8.  mean : (H, 3 W) float32.  near : (H, W) uint8, 0 = no
+    foreground here or close by.  A pixel adapts where near is 0 and no channel differs by more than its threshold.
+    protect : (H, W) uint8, or (0, 0) for none.  age : (H, W) uint16, visits in a row at which the pixel did not adapt
+    and was not protected; above `patience` it takes over the picture at once. patience < 0 = never.
+    """
+    has_protection = protect.shape[0] > 0
+    width = near.shape[1]
+    free = np.empty(3 * width, dtype=np.float32)
+    for y in range(first, rows.shape[0], stride):
+        a, b, t, m = rows[y], background[y], threshold[y], mean[y]
+        close = near[y]
+        for x in range(width):
+            step = rate if (_far(a, b, x) <= t[x]) & (close[x] == 0) else np.float32(0.0)
+            free[3 * x] = step
+            free[3 * x + 1] = step
+            free[3 * x + 2] = step
+        if patience >= 0:
+            for x in range(width):
+                if free[3 * x] > 0 or (has_protection and protect[y, x] != 0):
+                    age[y, x] = 0
+                elif age[y, x] < patience:
+                    age[y, x] += np.uint16(1)
+                else:
+                    age[y, x] = 0
+                    for c in range(3):
+                        free[3 * x + c] = np.float32(1.0)
+        for i in range(3 * width):
+            v = m[i] + free[i] * (np.float32(a[i]) - m[i])
+            m[i] = v
+            b[i] = np.uint8(v + np.float32(0.5))

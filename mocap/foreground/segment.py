@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -21,9 +22,16 @@ METHODS = ("gaussian", "mog2", "knn")
 # KNN takes a rate of 0 for "choose one".
 _OPENCV_RATE = {"mog2": 0.0, "knn": 1e-5}
 _REFERENCE_PIXELS = 640 * 480
-_GAIN_STEP = 12  # every 12th pixel in both directions tells the gain
-_ADAPT_ROWS = 8  # one row in eight adapts per picture
+_GAIN_STEP = 16  # every 16th pixel in both directions tells the gain
+_SEARCH_ROWS = 4  # one row in four is searched for differences
+_SEARCH_LEAST = 3  # differing values in the searched rows of a cell that make it worth a closer look
+_MAX_WINDOWS = 8
+_ADAPT_ROWS = 16  # one row in sixteen adapts per picture
+# Noise of the Sobel slope of a ratio, three standard deviations of its two components together, per standard
+# deviation and unit of brightness of the pixel.
+_EDGE_NOISE = 3 * 2**0.5 * 12**0.5 / 8 / 3**0.5
 _TRAIN = 40  # synthetic empty pictures that train the OpenCV models
+_NOTHING = np.zeros((0, 0), dtype=np.uint8)
 
 
 @dataclass(frozen=True)
@@ -37,13 +45,15 @@ class ForegroundSettings:
     edge_jitter_px : the camera may shake by so much: at an edge of the background the threshold rises by the
         grey levels between this pixel and one so far away.
     shadow_darkest, shadow_brightest : brightness relative to the background that a shadow may have.
-    shadow_chroma : grey levels that the colour of a shadow, averaged over shadow_window_px, may be off the
-        colour of the background at that brightness. shadow_chroma_pixel : the same for the single pixel.
-        Both rise with the noise of the picture.
-    shadow_tint : added to both, per grey level of darkening: the light that is missing need not be white.
-    outline_share, outline_px : a pixel at the rim of the foreground stays only if it differs from the
-        background by this share of the largest difference within outline_px: blur and compression draw a halo
-        round a person.
+    shadow_chroma : how far the colour of a shadow, averaged over shadow_window_px, may be off the colour of the
+        background, as a share of the brightness that is left; shadow_chroma_least : grey levels that are always
+        allowed. shadow_chroma_pixel : grey levels that the single pixel may be off. The latter two rise with the
+        noise of the picture.
+    shadow_edge : a shadow is soft; where the brightness relative to the background changes by more than this from
+        pixel to pixel, there is an object.
+    outline_share, outline_window_px : a pixel at the rim of the foreground stays only if its difference from the
+        background is by this share above that of its surroundings and below that of the inside, both averaged
+        over the window: blur and compression draw a halo round a person.
     closing_px : gaps up to this width are closed where the picture differs from the background.
     closing_hint_px : gaps up to this width are closed, and holes filled, where it differs by half the threshold on
         the average of 5 x 5 pixels.
@@ -51,29 +61,33 @@ class ForegroundSettings:
     min_area_px, min_area_share : smaller regions are dropped; share of the largest region.
     adaptation : share of the way to the new picture that background pixels go per picture; 0 = never. Only the
         'gaussian' method adapts.
+    hold_frames : a pixel that has been foreground for so many pictures on end becomes background, unless
+        protected; None = never.
     compensate_gain : divide out a brightness change of the whole picture, per channel.
     max_foreground_share : above this share of the picture the mask is not usable.
     """
 
     method: str = "gaussian"
     threshold_sigma: float = 3.0
-    min_difference: float = 7.0
+    min_difference: float = 6.0
     strong_difference: float = 20.0
-    edge_jitter_px: float = 0.5
-    shadow_darkest: float = 0.6
+    edge_jitter_px: float = 0.3
+    shadow_darkest: float = 0.5
     shadow_brightest: float = 1.03
-    shadow_chroma: float = 2.5
+    shadow_chroma: float = 0.03
+    shadow_chroma_least: float = 2.0
     shadow_chroma_pixel: float = 6.0
-    shadow_tint: float = 0.0
+    shadow_edge: float = 0.07
     shadow_window_px: int = 5
-    outline_share: float = 0.35
-    outline_px: int = 5
-    closing_px: int = 7
+    outline_share: float = 0.4
+    outline_window_px: int = 7
+    closing_px: int = 5
     closing_hint_px: int = 5
-    max_hole_px: float = 500.0
+    max_hole_px: float = 300.0
     min_area_px: float = 150.0
     min_area_share: float = 0.02
     adaptation: float = 0.005
+    hold_frames: int | None = None
     compensate_gain: bool = True
     max_foreground_share: float = 0.6
 
@@ -82,6 +96,8 @@ class ForegroundSettings:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
         if not 0 <= self.adaptation < 1:
             raise ValueError(f"adaptation: expected 0 <= adaptation < 1, got {self.adaptation}")
+        if self.hold_frames is not None and self.hold_frames < 1:
+            raise ValueError(f"hold_frames: expected at least 1 or None, got {self.hold_frames}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,68 +116,120 @@ class ForegroundMask:
     is_usable: bool
 
 
+class _Window(NamedTuple):
+    """A part of the picture that is looked at closely, [y0, y1) x [x0, x1); ."""
+
+    y0: int
+    y1: int
+    x0: int
+    x1: int
+
+    def overlaps(self, other: _Window) -> bool:
+        return self.y0 < other.y1 and other.y0 < self.y1 and self.x0 < other.x1 and other.x0 < self.x1
+
+    def joined(self, other: _Window) -> _Window:
+        return _Window(
+            min(self.y0, other.y0), max(self.y1, other.y1), min(self.x0, other.x0), max(self.x1, other.x1)
+        )
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        return slice(self.y0, self.y1), slice(self.x0, self.x1)
+
+
+class _Regions(NamedTuple):
+    """Connected regions as runs along rows; see _kernels.label_regions."""
+
+    runs: NDArray[np.int32]
+    n_runs: int
+    area: NDArray[np.int64]
+    flagged: NDArray[np.int64]
+
+
 class Segmenter:
     """Splits the pictures of one camera, in order; keeps the slowly adapting background between them.
 
-    Only pixels that are neither foreground nor shadow adapt, so a person who stands still is never absorbed.
-    One Segmenter per camera and clip; not to be shared between threads.
+    Only pixels that are neither foreground nor shadow adapt, so a person who stands still is not absorbed; see
+    hold_frames and `protect`. One Segmenter per camera and clip; not to be shared between threads.
+    roi : (H, W) bool, where a person can be; None = everywhere. Outside, nothing is foreground.
+    Only windows around cells of 16 x 16 pixels with differences in every fourth row are looked at closely.
     Source: CF 2.2.3. Departs from it: one Gaussian per pixel instead of a mixture, and a shadow test on the
     colour averaged over a window, because a person whose clothes have nearly the colour of the wall is lost
     otherwise ('mog2' keeps the mixture).
     """
 
-    def __init__(self, background: Background, settings: ForegroundSettings | None = None) -> None:
-        self.settings = settings or ForegroundSettings()
+    def __init__(
+        self, background: Background, settings: ForegroundSettings | None = None, *, roi: Mask | None = None
+    ) -> None:
+        self.settings = s = settings or ForegroundSettings()
         self.shape = background.mean.shape
+        height, width = self.shape[:2]
+        if roi is not None and roi.shape != (height, width):
+            raise ValueError(f"roi: expected shape {(height, width)}, got {roi.shape}")
         self._n_seen = 0
-        self._mean = np.array(background.mean, dtype=np.float32)
+        self._mean = np.array(background.mean, dtype=np.float32).reshape(height, -1)
         self._background = np.clip(np.round(self._mean), 0, 255).astype(np.uint8)
         self._noise = float(np.median(background.std))
-        self._weak_level = 0.5 * max(
-            self.settings.min_difference, self.settings.threshold_sigma * self._noise
-        )
-        limit = np.maximum(
-            self.settings.threshold_sigma * background.std.max(axis=2), self.settings.min_difference
-        )
-        limit += self.settings.edge_jitter_px * _slope(self._background)
-        self._threshold = np.clip(np.round(limit), 1, 254).astype(np.uint8)
-        self._frozen = np.zeros(self.shape[:2], dtype=np.uint8)
+        self._weak_level = 0.5 * max(s.min_difference, s.threshold_sigma * self._noise)
+        limit = np.maximum(s.threshold_sigma * background.std.max(axis=2), s.min_difference)
+        limit += s.edge_jitter_px * _slope(self._background.reshape(self.shape))
+        threshold = np.clip(np.round(limit), 1, 254).astype(np.uint8)
+        self._outside = np.zeros((height, width), dtype=np.uint8)
+        if roi is not None:
+            self._outside = (~roi).astype(np.uint8)
+            threshold[~roi] = 255  # which no difference exceeds
+        self._threshold = threshold
+        self._near = self._outside.copy()
+        self._touched: list[_Window] = []  # where _near differs from _outside
+        self._age = np.zeros((height, width) if s.hold_frames is not None else (0, 0), dtype=np.uint16)
         self._subtractor = None
-        if self.settings.method != "gaussian":
-            self._subtractor = _trained_subtractor(self.settings.method, background)
+        if s.method != "gaussian":
+            self._subtractor = _trained_subtractor(s.method, background)
 
-    def segment(self, image: Image) -> ForegroundMask:
-        """Foreground of the next picture, (H, W, 3) uint8 RGB; ValueError for another shape than before."""
+    @property
+    def background(self) -> Image:
+        """The background as it is now, (H, W, 3) uint8 RGB."""
+        return self._background.reshape(self.shape).copy()
+
+    def segment(self, image: Image, *, protect: Mask | None = None) -> ForegroundMask:
+        """Foreground of the next picture, (H, W, 3) uint8 RGB.
+
+        protect : (H, W) bool, pixels that are known to show a person, for example the reprojected body of a track:
+        they are not absorbed into the background however long they stay. It does not change this mask.
+        Raises ValueError for another shape than the background's.
+        """
         if image.shape != self.shape or image.dtype != np.uint8:
             raise ValueError(f"image: expected uint8 of shape {self.shape}, got {image.dtype} {image.shape}")
+        if protect is not None and (protect.shape != self.shape[:2] or protect.dtype != np.bool_):
+            raise ValueError(
+                f"protect: expected bool of shape {self.shape[:2]}, got {protect.dtype} {protect.shape}"
+            )
         if self._subtractor is not None:
             raw = self._subtractor.apply(image, learningRate=_OPENCV_RATE[self.settings.method])
+            raw[self._outside != 0] = 0
             kept = clean_mask(raw == 255, self.settings)
             return self._answer(kept.astype(np.uint8), ((raw == 127) & ~kept).astype(np.uint8))
         # The kernels are compiled for writable contiguous arrays; any other kind would be compiled anew.
-        picture = np.require(image, requirements=("C", "W"))
+        rows = np.require(image, requirements=("C", "W")).reshape(self.shape[0], -1)
         if self.settings.compensate_gain:
-            picture = self._without_gain(picture)
-        height, width = self.shape[:2]
-        largest = np.empty((height, width), dtype=np.uint8)
-        candidate = np.empty((height, width), dtype=np.uint8)
-        _kernels.difference(
-            picture.reshape(-1), self._background.reshape(-1), self._threshold.reshape(-1),
-            largest.reshape(-1), candidate.reshape(-1),
-        )  # fmt: skip
-        mask = np.zeros((height, width), dtype=np.uint8)
-        shadow = np.zeros((height, width), dtype=np.uint8)
-        solid = cv2.medianBlur(candidate, 3)
-        x, y, w, h = cv2.boundingRect(solid)
-        if w and h:
-            margin = _scaled_px(10, self.shape)
-            rows = slice(max(y - margin, 0), min(y + h + margin, height))
-            columns = slice(max(x - margin, 0), min(x + w + margin, width))
-            window = (rows, columns)
-            parts = (picture, self._background, solid, largest)
-            mask[window], shadow[window] = self._split(*(np.ascontiguousarray(a[window]) for a in parts))
-        if self.settings.adaptation > 0:
-            self._adapt(picture, candidate, mask)
+            rows = self._without_gain(rows)
+        mask, shadow = np.zeros(self.shape[:2], dtype=np.uint8), np.zeros(self.shape[:2], dtype=np.uint8)
+        pieces = [self._split(rows, window, shadow) for window in self._windows(rows)]
+        least = self.settings.min_area_px * _area_scale(self.shape)
+        for _, _, regions in pieces:
+            least = max(least, self.settings.min_area_share * regions.area.max(initial=0))
+        for window in self._touched:
+            self._near[window.slices] = self._outside[window.slices]
+        self._touched = [window for window, _, _ in pieces]
+        for window, found, regions in pieces:
+            drop = (regions.area < least) | (regions.flagged == 0)
+            _kernels.paint_regions(found, regions.runs, regions.n_runs, drop, 0)
+            width = window.x1 - window.x0
+            mask[window.slices] = found[:, :width]
+            shadow[window.slices] &= found[:, :width] ^ 1
+            self._near[window.slices] |= cv2.dilate(found, _square(5))[:, :width]
+        if self.settings.adaptation > 0 or self.settings.hold_frames is not None:
+            self._adapt(rows, protect)
         return self._answer(mask, shadow)
 
     def _answer(self, mask: Bytes, shadow: Bytes) -> ForegroundMask:
@@ -171,50 +239,89 @@ class Segmenter:
             share <= self.settings.max_foreground_share,
         )  # fmt: skip
 
-    def _without_gain(self, picture: Image) -> Image:
+    def _without_gain(self, rows: Bytes) -> Bytes:
         step = max(1, _scaled_px(_GAIN_STEP, self.shape))
-        ratios = np.empty((3, -(-self.shape[0] // step) * -(-self.shape[1] // step)), dtype=np.float32)
-        n = _kernels.brightness_ratios(picture, self._background, self._frozen, step, ratios)
-        if n < 0.1 * ratios.shape[1]:
-            return picture
-        gain = np.median(ratios[:, :n], axis=1)
-        if np.abs(gain - 1).max() < 0.004:
-            return picture
-        levels = np.arange(256)[:, None] / np.clip(gain, 0.5, 2.0)
-        table = np.clip(np.round(levels), 0, 255).astype(np.uint8)
-        return cv2.LUT(picture, table.reshape(1, 256, 3))
+        gain = np.empty(3)
+        n = _kernels.median_gain(rows, self._background, self._near, step, gain)
+        if n * step * step < 0.1 * self._near.size or np.abs(gain - 1).max() < 0.004:
+            return rows
+        factor = np.tile(np.round(65536 / np.clip(gain, 0.5, 2.0)).astype(np.int64), self.shape[1])
+        out = np.empty_like(rows)
+        _kernels.scale_rows(rows, factor, out)
+        return out
 
-    def _split(
-        self, picture: Image, background: Image, candidate: Bytes, largest: Bytes
-    ) -> tuple[Bytes, Bytes]:
+    def _windows(self, rows: Bytes) -> list[_Window]:
+        """Where the picture differs from the background, with a margin; none of them overlap."""
+        height, width = self.shape[:2]
+        cell = _kernels.CELL
+        counts = np.zeros((-(-height // cell), -(-width // cell)), dtype=np.int32)
+        first = min(1, height - 1)
+        _kernels.count_differences(rows, self._background, self._threshold, first, _SEARCH_ROWS, counts)
+        active = (counts >= _SEARCH_LEAST).view(np.uint8)
+        if not active.any():
+            return []
         s = self.settings
-        shape = candidate.shape
-        ratio = np.empty(shape, dtype=np.float32)
-        residual = np.empty((*shape, 2), dtype=np.float32)
-        _kernels.chroma_residual(picture, background, ratio, residual)
+        longest = max(s.closing_px, s.closing_hint_px, s.outline_window_px, s.shadow_window_px)
+        margin = 1 + _scaled_px(longest, self.shape) // cell
+        grown = cv2.dilate(active, _square(2 * margin + 1))
+        n, labels, stats, _ = cv2.connectedComponentsWithStats(grown, connectivity=8)
+        found = np.bincount(labels.ravel(), counts.ravel(), n) * _SEARCH_ROWS
+        windows: list[_Window] = []
+        for i in range(1, n):
+            if found[i] < 0.25 * s.min_area_px * _area_scale(self.shape):
+                continue
+            x, y, w, h = (cell * int(v) for v in stats[i, :4])
+            windows.append(_Window(y, min(y + h, height), x, min(x + w, width)))
+        return _without_overlaps(windows)
+
+    def _split(self, rows: Bytes, window: _Window, shadow: Bytes) -> tuple[_Window, Bytes, _Regions]:
+        """Where in the window foreground is, that part as (h, w) uint8 of 0 and 1, and its regions.
+
+        shadow : (H, W) uint8, written inside the window.  w is rounded up to multiples of 8; columns beyond the
+        picture are 0.
+        """
+        s = self.settings
+        width = window.x1 - window.x0
+        planes = np.zeros((4, window.y1 - window.y0, -(-width // 8) * 8), dtype=np.uint8)
+        largest, candidate, foreground, dark = planes
+        _kernels.difference(
+            rows, self._background, self._threshold, window.y0, window.x0, width, largest, candidate
+        )
+        solid = cv2.medianBlur(candidate, 3)
         # The window averages noise, which small pictures have no less of.
         side = _odd(max(_scaled_px(s.shadow_window_px, self.shape), s.shadow_window_px))
-        chroma = max(s.shadow_chroma, 2.5 * self._noise * 2**0.5 / side)
-        chroma_pixel = max(s.shadow_chroma_pixel, 4.0 * self._noise)
-        smooth = cv2.boxFilter(residual, -1, (side, side))
-        foreground = np.empty(shape, dtype=np.uint8)
-        shadow = np.empty(shape, dtype=np.uint8)
-        _kernels.split_shadow(
-            candidate, ratio, residual, smooth, background,
-            np.float32(s.shadow_darkest), np.float32(s.shadow_brightest), np.float32(chroma),
-            np.float32(chroma_pixel), np.float32(s.shadow_tint), foreground, shadow,
+        _kernels.shadow_test(
+            rows, self._background, window.y0, window.x0, width, solid, side // 2,
+            s.shadow_darkest, s.shadow_brightest, max(s.shadow_chroma_pixel, 4.0 * self._noise),
+            s.shadow_chroma, max(s.shadow_chroma_least, 2.5 * self._noise * 2**0.5 / side),
+            s.shadow_edge, _EDGE_NOISE * self._noise, foreground, dark,
         )  # fmt: skip
-        foreground = _trim_outline(foreground, largest, s, self.shape)
-        mask = _clean(foreground, shadow, candidate, largest, self._weak_level, s, self.shape)
-        return mask, shadow & (1 - mask)
-
-    def _adapt(self, picture: Image, candidate: Bytes, mask: Bytes) -> None:
-        near = cv2.dilate(mask, np.ones((5, 5), dtype=np.uint8))
-        self._frozen = candidate | near
-        rate = np.float32(1 - (1 - self.settings.adaptation) ** _ADAPT_ROWS)
-        _kernels.adapt_rows(
-            picture, self._mean, self._background, self._frozen, self._n_seen % _ADAPT_ROWS, _ADAPT_ROWS, rate
+        shadow[window.slices] = dark[:, :width]
+        # Specks in the shadow would be joined to the person by the closing.
+        specks = _regions(foreground, _strong(largest, s), 1)
+        drop = (specks.area < 0.25 * s.min_area_px * _area_scale(self.shape)) | (specks.flagged == 0)
+        _kernels.paint_regions(foreground, specks.runs, specks.n_runs, drop, 0)
+        # What follows touches only the surroundings of the foreground, which are often a small part of the window.
+        longest = max(s.closing_px, s.closing_hint_px, s.outline_window_px)
+        rows_of, columns_of = _around(foreground, 1 + _odd(_scaled_px(longest, self.shape)))
+        inside, dark_inside, differs, far = (
+            np.ascontiguousarray(p[rows_of, columns_of]) for p in (foreground, dark, solid, largest)
         )
+        _trim_outline(inside, far, s, self.shape)
+        found = _closed(inside, dark_inside, differs, far, self._weak_level, s, self.shape)
+        y, x = window.y0 + rows_of.start, window.x0 + columns_of.start
+        inner = _Window(y, y + found.shape[0], x, min(x + found.shape[1], self.shape[1]))
+        return inner, found, _regions(found, _strong(far, s), 1)
+
+    def _adapt(self, rows: Bytes, protect: Mask | None) -> None:
+        s = self.settings
+        rate = np.float32(1 - (1 - s.adaptation) ** _ADAPT_ROWS)
+        patience = -1 if s.hold_frames is None else min(s.hold_frames // _ADAPT_ROWS, 65535)
+        _kernels.adapt_rows(
+            rows, self._background, self._mean, self._threshold, self._near,
+            _NOTHING if protect is None else np.ascontiguousarray(protect).view(np.uint8), self._age,
+            self._n_seen % _ADAPT_ROWS, _ADAPT_ROWS, rate, patience,
+        )  # fmt: skip
         self._n_seen += 1
 
 
@@ -226,19 +333,41 @@ def clean_mask(mask: Mask, settings: ForegroundSettings | None = None) -> Mask:
     An empty mask stays empty.
     """
     s = settings or ForegroundSettings()
-    raw = np.ascontiguousarray(mask).astype(np.uint8)
-    kept = _large_regions(raw, s, raw.shape, raw)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_odd(_scaled_px(s.closing_px, raw.shape)),) * 2)
-    closed = cv2.morphologyEx(kept, cv2.MORPH_CLOSE, kernel)
-    labels, area, _ = _regions(1 - closed, raw, 4)
-    return _select(labels, area < s.min_area_px * _area_scale(raw.shape), of_zero=True).astype(np.bool_)
+    height, width = mask.shape
+    raw = np.zeros((height, -(-width // 8) * 8), dtype=np.uint8)
+    raw[:, :width] = mask
+    regions = _regions(raw, raw, 1)
+    least = max(s.min_area_px * _area_scale(mask.shape), s.min_area_share * regions.area.max(initial=0))
+    _kernels.paint_regions(raw, regions.runs, regions.n_runs, regions.area < least, 0)
+    closed = cv2.morphologyEx(raw, cv2.MORPH_CLOSE, _disc(_odd(_scaled_px(s.closing_px, mask.shape))))
+    holes = _regions(closed, closed, 0)
+    small = holes.area < s.min_area_px * _area_scale(mask.shape)
+    _kernels.paint_regions(closed, holes.runs, holes.n_runs, small, 1)
+    return closed[:, :width].astype(np.bool_)
+
+
+def _without_overlaps(windows: list[_Window]) -> list[_Window]:
+    """Windows that overlap are joined; all are when there are many."""
+    if len(windows) > _MAX_WINDOWS:
+        whole = windows[0]
+        for window in windows[1:]:
+            whole = whole.joined(window)
+        return [whole]
+    apart: list[_Window] = []
+    for window in windows:
+        # A joined window may overlap one that was passed already.
+        while any(window.overlaps(other) for other in apart):
+            for other in [o for o in apart if window.overlaps(o)]:
+                apart.remove(other)
+                window = window.joined(other)
+        apart.append(window)
+    return apart
 
 
 def _slope(background: Image) -> NDArray[np.float32]:
     """Largest difference to a neighbouring pixel over the channels, (H, W) grey levels per pixel."""
-    square = np.ones((3, 3), dtype=np.uint8)
-    above = cv2.dilate(background, square) - background
-    below = background - cv2.erode(background, square)
+    above = cv2.dilate(background, _square(3)) - background
+    below = background - cv2.erode(background, _square(3))
     return np.maximum(above, below).max(axis=2).astype(np.float32)
 
 
@@ -254,88 +383,75 @@ def _odd(length: int) -> int:
     return length | 1
 
 
-def _trim_outline(foreground: Bytes, largest: Bytes, s: ForegroundSettings, shape: tuple[int, ...]) -> Bytes:
+@cache
+def _square(side: int) -> Bytes:
+    return np.ones((side, side), dtype=np.uint8)
+
+
+@cache
+def _disc(side: int) -> Bytes:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+
+
+def _strong(largest: Bytes, s: ForegroundSettings) -> Bytes:
+    return cv2.threshold(largest, s.strong_difference, 1, cv2.THRESH_BINARY)[1]
+
+
+def _around(mask: Bytes, margin: int) -> tuple[slice, slice]:
+    """Rows and columns of what is not 0, with a margin; columns are multiples of 8."""
+    x, y, w, h = cv2.boundingRect(mask)
+    rows = slice(max(y - margin, 0), min(y + h + margin, mask.shape[0]))
+    return rows, slice(max(x - margin, 0) // 8 * 8, min((x + w + margin + 7) // 8 * 8, mask.shape[1]))
+
+
+def _trim_outline(foreground: Bytes, largest: Bytes, s: ForegroundSettings, shape: tuple[int, ...]) -> None:
+    """Takes blurred rims out of the foreground, in place."""
     if s.outline_share <= 0:
-        return foreground
-    side = _odd(_scaled_px(s.outline_px, shape))
-    square = np.ones((side, side), dtype=np.uint8)
-    peak = cv2.dilate(cv2.multiply(largest, foreground), square)
-    core = cv2.erode(foreground, square)
-    weak = cv2.compare(largest, cv2.multiply(peak, s.outline_share), cv2.CMP_LT)
-    return core | (foreground & ~weak)
+        return
+    side = _odd(_scaled_px(s.outline_window_px, shape))
+    core = cv2.erode(foreground, _square(3))
+    beside = cv2.dilate(foreground, _square(3)) ^ 1
+    deep = cv2.erode(foreground, _square(_odd(max(side - 2, 3))))
+    _kernels.trim_outline(
+        foreground, core, beside, deep, core * largest, beside * largest, largest, side // 2, s.outline_share
+    )
 
 
-def _clean(
+def _closed(
     foreground: Bytes,
     shadow: Bytes,
-    candidate: Bytes,
+    differs: Bytes,
     largest: Bytes,
     weak_level: float,
     s: ForegroundSettings,
     shape: tuple[int, ...],
 ) -> Bytes:
-    """Closing and hole filling among differing pixels, then hysteresis and small regions."""
-    mask = np.zeros_like(foreground)
-    x, y, w, h = cv2.boundingRect(foreground)
-    if not w or not h:
-        return mask
+    """Gaps and holes closed where the picture differs from the background."""
     scale = _area_scale(shape)
-    side = _odd(_scaled_px(s.closing_px, shape))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    # Closing joins foreground to a border nearer than its kernel, and would cut the background into "holes".
-    margin = _odd(_scaled_px(max(s.closing_px, s.closing_hint_px), shape))
-    window = (slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin))
-    tight = foreground[window]
-    differs = cv2.min(candidate[window], 1)
-    strong = cv2.compare(largest[window], s.strong_difference, cv2.CMP_GT)
-    # Specks in the shadow would be joined to the person by the closing.
-    labels, area, n_strong = _regions(tight, strong, 8)
-    tight = _select(labels, (area >= 0.25 * s.min_area_px * scale) & (n_strong > 0), of_zero=False)
-    tight |= cv2.morphologyEx(tight, cv2.MORPH_CLOSE, kernel) & differs
+    closing = cv2.morphologyEx(foreground, cv2.MORPH_CLOSE, _disc(_odd(_scaled_px(s.closing_px, shape))))
+    mask = foreground | (closing & differs)
     # Clothes of nearly the colour of the wall: each pixel is within the threshold, their average is not noise.
     # The average leaves the foreground and its blurred rim out.
-    beside = cv2.dilate(tight, np.ones((3, 3), dtype=np.uint8)) ^ 1
-    total = cv2.boxFilter(cv2.multiply(largest[window], beside), cv2.CV_32F, (5, 5), normalize=False)
-    count = cv2.boxFilter(beside, cv2.CV_32F, (5, 5), normalize=False)
-    hint = (total >= weak_level * count).view(np.uint8) & (shadow[window] ^ 1)
-    wide = _odd(_scaled_px(s.closing_hint_px, shape))
-    ellipse = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (wide, wide))
-    tight |= cv2.morphologyEx(tight, cv2.MORPH_CLOSE, ellipse) & hint
-    evidence = differs | hint
-    labels, area, differing = _regions(1 - tight, evidence, 4)
-    fill = (area < 0.2 * s.min_area_px * scale) | ((differing > 0.5 * area) & (area < s.max_hole_px * scale))
-    tight |= _select(labels, fill, of_zero=False)
-    mask[window] = _large_regions(tight, s, shape, strong)
+    beside = cv2.dilate(mask, _square(3)) ^ 1
+    total = cv2.boxFilter(largest * beside, cv2.CV_16S, (5, 5), normalize=False)
+    count = cv2.boxFilter(beside, cv2.CV_16S, (5, 5), normalize=False)
+    hint = (total >= weak_level * count).view(np.uint8) & (shadow ^ 1)
+    closing = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _disc(_odd(_scaled_px(s.closing_hint_px, shape))))
+    mask |= closing & hint
+    holes = _regions(mask, differs | hint, 0)
+    fill = holes.area < 0.2 * s.min_area_px * scale
+    fill |= (holes.flagged > 0.5 * holes.area) & (holes.area < s.max_hole_px * scale)
+    _kernels.paint_regions(mask, holes.runs, holes.n_runs, fill, 1)
     return mask
 
 
-def _large_regions(mask: Bytes, s: ForegroundSettings, shape: tuple[int, ...], strong: Bytes) -> Bytes:
-    """The mask without small regions and without regions that hold no strong pixel."""
-    labels, area, n_strong = _regions(mask, strong, 8)
-    if len(area) == 1:
-        return mask
-    least = max(s.min_area_px * _area_scale(shape), s.min_area_share * area[1:].max())
-    return _select(labels, (area >= least) & (n_strong > 0), of_zero=False)
-
-
-def _regions(
-    mask: Bytes, flags: Bytes, connectivity: int
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
-    """Labels (0 = outside the mask), and per label its area and how many of its pixels are flagged."""
-    n, labels = cv2.connectedComponents(mask, connectivity=connectivity)
-    area = np.zeros(n, dtype=np.int64)
-    flagged = np.zeros(n, dtype=np.int64)
-    _kernels.count_regions(labels, flags, area, flagged)
-    return labels, area, flagged
-
-
-def _select(labels: NDArray[np.int32], keep: Mask, *, of_zero: bool) -> Bytes:
-    """1 where keep[label]; label 0 counts as of_zero."""
-    chosen = keep.astype(np.uint8)
-    chosen[0] = of_zero
-    out = np.empty(labels.shape, dtype=np.uint8)
-    _kernels.select_regions(labels, chosen, out)
-    return out
+def _regions(mask: Bytes, flags: Bytes, value: int) -> _Regions:
+    """Regions of the ones (corners join them) or of the zeros (corners do not) of a mask."""
+    most = mask.shape[0] * (mask.shape[1] // 2 + 1)
+    runs = np.empty((most, 4), dtype=np.int32)
+    area, flagged = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
+    n_runs, n = _kernels.label_regions(mask, flags, value, value, runs, area, flagged)
+    return _Regions(runs, n_runs, area[:n], flagged[:n])
 
 
 def _trained_subtractor(method: str, background: Background) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +22,7 @@ from mocap.io.calibration import (
 from mocap.io.video import ClipInfo, clip_info, size_error
 
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
+Polygon = tuple[tuple[float, float], ...]
 
 DEFAULT_FPS = 30.0
 # Headers of sound videos promise a few frames more than can be decoded; more than that means a damaged file.
@@ -49,6 +50,8 @@ class Session:
     background_sources, detection_sources : camera name -> path; may cover the rig in part.
     clips : camera name -> what was counted and measured of its pictures (else masks).
     room_bounds_m : (lower, upper) corners, m, world.  checkerboard : inner corners (columns, rows).
+    roi_sources, roi_px : camera name -> picture that is not 0, or polygon of (u, v), where persons can be; cameras with
+    neither look everywhere.
     notes : conversions of the calibration reader.  warnings : what the user should know before trusting a run.
     """
 
@@ -72,6 +75,8 @@ class Session:
     marker_colour: tuple[int, int, int] | None = None
     checkerboard: tuple[int, int] | None = None
     checkerboard_square_m: float | None = None
+    roi_sources: dict[str, Path] = field(default_factory=dict)
+    roi_px: dict[str, Polygon] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,7 @@ class SessionSettings:
     calibration_up: str | None = None
     checkerboard: tuple[int, int] | None = None
     checkerboard_square_m: float | None = None
+    roi_px: Mapping[str, Polygon] | None = None
 
 
 def read_session_settings(path: Path | str) -> SessionSettings:
@@ -106,8 +112,8 @@ def read_session_settings(path: Path | str) -> SessionSettings:
 
     Keys: fps, frames = [start, stop], room_bounds_m = [[x, y, z], [x, y, z]], person_height_m, marker_colour =
     "red" | "#rrggbb" | [r, g, b], cameras = ["camera name", ...] (the others are left out), calibration_units,
-    calibration_up, checkerboard = [columns, rows] (inner corners), checkerboard_square_m, and the table
-    [camera_map] file name = "camera name".
+    calibration_up, checkerboard = [columns, rows] (inner corners), checkerboard_square_m, and the tables
+    [camera_map] file name = "camera name" and [roi_px] camera name = [[u, v], ...] (corners of a polygon).
     Raises MocapError naming the key for anything else.
     """
     path = Path(path)
@@ -135,6 +141,7 @@ def read_session_settings(path: Path | str) -> SessionSettings:
         calibration_up=_up(path, document),
         checkerboard=_board(path, document),
         checkerboard_square_m=_positive(path, document, "checkerboard_square_m"),
+        roi_px=_polygons(path, document),
     )
 
 
@@ -163,6 +170,8 @@ def open_session(
     found = read_calibration(calibration_path, units=settings.calibration_units, up=settings.calibration_up)
     warnings = list(found.warnings)
     sources = _match_sources(root, settings, found.rig, calibration_path, warnings)
+    if strangers := [n for n in settings.roi_px or {} if n not in found.rig.names]:
+        raise _bad_key(root / "session.toml", f"roi_px.{strangers[0]}", "names a camera that is not calibrated")
     wanted_rig = _wanted_cameras(root, found.rig, settings.cameras)
     rig, images, masks = _choose_cameras(root, wanted_rig, sources, warnings)
     backgrounds = {n: p for n, p in sources["background"].items() if n in rig.names}
@@ -209,6 +218,8 @@ def open_session(
         marker_colour=settings.marker_colour,
         checkerboard=settings.checkerboard,
         checkerboard_square_m=settings.checkerboard_square_m,
+        roi_sources={n: p for n, p in sources["roi"].items() if n in rig.names},
+        roi_px={n: p for n, p in (settings.roi_px or {}).items() if n in rig.names},
     )
 
 
@@ -264,6 +275,7 @@ def _match_sources(
         "background": sources_in(root / "background", VIDEO_SUFFIXES | IMAGE_SUFFIXES),
         "masks": sources_in(root / "masks", VIDEO_SUFFIXES | IMAGE_SUFFIXES | {".npz"}),
         "detections": sources_in(root / "detections", frozenset({".csv"}), with_folders=False),
+        "roi": sources_in(root / "roi", IMAGE_SUFFIXES, with_folders=False),
     }
     camera_map = settings.camera_map or {}
     all_names = {name for sources in kinds.values() for name in sources}
@@ -586,6 +598,23 @@ def _camera_map(path: Path, document: dict[str, Any]) -> dict[str, str] | None:
     if doubled := sorted({n for n in value.values() if list(value.values()).count(n) > 1}):
         raise _bad_key(path, "camera_map", f"gives camera {', '.join(doubled)} to more than one file")
     return dict(value)
+
+
+def _polygons(path: Path, document: dict[str, Any]) -> dict[str, Polygon] | None:
+    value = document.get("roi_px")
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise _bad_key(path, "roi_px", "is no table, expected [roi_px] camera = [[u, v], [u, v], [u, v], ...]")
+    polygons = {}
+    for name, corners in value.items():
+        is_polygon = isinstance(corners, list) and len(corners) >= 3
+        if not is_polygon or not all(
+            isinstance(c, list) and len(c) == 2 and all(map(_is_number, c)) for c in corners
+        ):
+            raise _bad_key(path, f"roi_px.{name}", f"is {corners!r}, expected at least three corners [u, v]")
+        polygons[name] = tuple((float(u), float(v)) for u, v in corners)
+    return polygons
 
 
 def _units(path: Path, document: dict[str, Any]) -> str | None:

@@ -19,6 +19,7 @@ TRACK_COLUMNS = ("frame", "time_s", "person", "x_m", "y_m", "z_m")
 LANDMARK_COLUMNS = ("frame", "time_s", "person", "landmark", "x_m", "y_m", "z_m")
 UNCERTAINTY_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "observed")
 DETECTION_COLUMNS = ("frame", "u_px", "v_px")
+LABEL_COLUMNS = ("frame", "camera", "u_px", "v_px")
 
 _LANDMARK_INDEX = {name: i for i, name in enumerate(LANDMARKS)}
 _OBSERVED = {"1": True, "0": False, "true": True, "false": False}
@@ -141,6 +142,20 @@ def read_detections_csv(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np
     frame = np.array(frames, dtype=np.int64)
     order = np.argsort(frame, kind="stable")
     return frame[order], np.array(pixels, dtype=np.float64).reshape(-1, 2)[order]
+
+
+def read_marker_labels_csv(path: Path | str) -> tuple[NDArray[np.int64], list[str], NDArray[np.float64]]:
+    """Read hand-labelled markers: frame (n,) int64, camera names (n), uv (n, 2) px, rows as they stand.
+
+    Raises MocapError as the other readers do.
+    """
+    path = Path(path)
+    frames, cameras, pixels = [], [], []
+    for line, row in _rows(path, LABEL_COLUMNS):
+        frames.append(_whole(path, line, row, "frame"))
+        cameras.append(row["camera"].strip())
+        pixels.append([_number(path, line, row, c) for c in LABEL_COLUMNS[2:]])
+    return np.array(frames, dtype=np.int64), cameras, np.array(pixels, dtype=np.float64).reshape(-1, 2)
 
 
 def write_detections_csv(path: Path | str, frame: NDArray[np.integer], uv: NDArray[np.floating]) -> None:

@@ -2,7 +2,7 @@
 
 from mocap.likelihood.combine import SumProblem
 from mocap.likelihood.fast import fast_part_scores
-from mocap.likelihood.marker_bundle import Bundle, BundleSettings, bundle_markers
+from mocap.likelihood.marker_bundle import Bundle, BundleSettings, bundle_markers, point_jacobian
 from mocap.likelihood.markers import (
     MarkerFitProblem,
     MarkerFitSettings,
@@ -83,6 +83,7 @@ __all__ = [
     "part_scores_numpy",
     "person_outlines",
     "pinhole_view",
+    "point_jacobian",
     "polygon_scores",
     "polygon_scores_numpy",
     "random_walk_std",

@@ -2,30 +2,91 @@
 
 What makes it fast, measured: every gather goes through unsigned 32-bit indices into slices that start at 0 (signed
 ones cost a wrap-around test per access and block vectorisation); two passes per segment, indices first; one 32-bit
-cell per voxel that holds the packed volume and a bit per part, so that stamping is a single "or" without branches
-(a stamp grid with epochs mispredicts on every other point: 45 us per evaluation instead of 27).
+cell per voxel that holds the packed volume and a tag, so that stamping is one read and one write without a branch
+(a branch mispredicts on every other point); tags carry the particle's number, so that nothing is wiped between
+particles; a segment whose bounding sphere lies inside the crop needs no test per point.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mocap.body._kernels import forward_kinematics
 
-# Cell: bits 0-6 smoothed surface, bit 7 occupied, bits 8-31 the parts that hold the voxel.
+# Cell: bits 0-6 smoothed surface, bit 7 occupied, bit 8 two parts of the current particle hold the voxel, and the tag
+# of the last point that fell in: bits 9-13 its part (< 32), bits 14-31 its particle (counted from 1, then anew).
 _VOLUME = np.uint32(0xFF)
 _SURFACE = np.uint32(0x7F)
+_DOUBLE = np.uint32(1 << 8)
 _ONE = np.uint32(1)
 _ZERO = np.uint32(0)
 _OCCUPIED_SHIFT = np.uint32(7)
-_PART_SHIFT = np.uint32(8)
+_DOUBLE_SHIFT = np.uint32(8)
+_PART_SHIFT = np.uint32(9)
+_PARTICLE_SHIFT = np.uint32(14)
+_N_TAGS = 2**18
+_SAME_PARTICLE = np.uint32((1 << 14) - (1 << 8))
 
 
-@njit(cache=True, nogil=True)
+class Segments(NamedTuple):
+    """Points of the flesh that one evaluation needs, segment by segment.
+
+    x, y, z : (M,) float32, m, in the segment's joint frame; within a segment surface points come first.
+    start : (S + 1,) first point.  n_surface, joint : (S,).  part : (S,) row of the counts, and what tells parts apart.
+    center : (S, 3) m and radius : (S,) m, bounding sphere in the joint's frame.
+    n_scored : the first segments, which are scored; the others only take up room.
+    """
+
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    z: NDArray[np.float32]
+    start: NDArray[np.int64]
+    n_surface: NDArray[np.int64]
+    joint: NDArray[np.int64]
+    part: NDArray[np.int64]
+    center: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    n_scored: int
+
+
+class Box(NamedTuple):
+    """Where the volume is.  shape, lower : (3,) voxels and m, the crop's; room_lower, room_upper : (3,) m."""
+
+    shape: NDArray[np.int64]
+    lower: NDArray[np.float64]
+    voxel_size: float
+    room_lower: NDArray[np.float64]
+    room_upper: NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _indices_inside(x, y, z, A, b, shape, index):
+    """Linear crop indices of points A p + b in voxel units, all of which lie inside the crop."""
+    # Scalars, because array elements would be loaded again for every point and keep the loop from vectorising.
+    a00, a01, a02, b0 = A[0, 0], A[0, 1], A[0, 2], b[0]
+    a10, a11, a12, b1 = A[1, 0], A[1, 1], A[1, 2], b[1]
+    a20, a21, a22, b2 = A[2, 0], A[2, 1], A[2, 2], b[2]
+    ny = np.int32(shape[1])
+    nz = np.int32(shape[2])
+    n = x.shape[0]
+    y = y[:n]
+    z = z[:n]
+    index = index[:n]
+    for i in range(n):
+        u = a00 * x[i] + a01 * y[i] + a02 * z[i] + b0
+        v = a10 * x[i] + a11 * y[i] + a12 * z[i] + b1
+        w = a20 * x[i] + a21 * y[i] + a22 * z[i] + b2
+        # Truncation is rounding down: nothing is negative here.
+        index[i] = np.uint32(np.int32(np.int32(np.int32(u) * ny + np.int32(v)) * nz + np.int32(w)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _voxel_indices(x, y, z, A, b, shape, index):
     """Linear crop indices of points A p + b in voxel units; 0, a voxel of the empty rim, for points outside."""
-    # Scalars, because array elements would be loaded again for every point and keep the loop from vectorising.
     a00, a01, a02, b0 = A[0, 0], A[0, 1], A[0, 2], b[0]
     a10, a11, a12, b1 = A[1, 0], A[1, 1], A[1, 2], b[1]
     a20, a21, a22, b2 = A[2, 0], A[2, 1], A[2, 2], b[2]
@@ -47,7 +108,7 @@ def _voxel_indices(x, y, z, A, b, shape, index):
         index[i] = np.uint32(np.int32(linear if inside else zero))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _count_outside(x, y, z, A, b, lower, upper):
     """Points A p + b, in voxel units, outside the box lower..upper."""
     a00, a01, a02, b0 = A[0, 0], A[0, 1], A[0, 2], b[0]
@@ -68,14 +129,43 @@ def _count_outside(x, y, z, A, b, lower, upper):
     return out
 
 
-@njit(cache=True, nogil=True)
-def _stamp(index, cells, bit):
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_segment(
+    R, t, j, s, center, radius, shape, lower, voxel_size, room_lower, room_upper, A, b, world_center
+):
+    """Map of segment s on joint j into the crop's voxel units: fills A (3, 3), b (3,) float32 and world_center[s].
+
+    Returns whether its bounding sphere lies wholly inside the crop, and whether it touches the room's border.
+    """
+    is_inside = True
+    touches_border = False
+    for r in range(3):
+        c = t[j, r]
+        for k in range(3):
+            A[r, k] = R[j, r, k] / voxel_size
+            c += R[j, r, k] * center[s, k]
+        b[r] = (t[j, r] - lower[r]) / voxel_size
+        # A voxel of room to spare, for float32; false for NaN.
+        first = lower[r] + voxel_size
+        last = lower[r] + (shape[r] - 1) * voxel_size
+        is_inside = is_inside and c - radius[s] > first and c + radius[s] < last
+        if c - radius[s] < room_lower[r] or c + radius[s] > room_upper[r]:
+            touches_border = True
+        world_center[s, r] = c
+    return is_inside, touches_border
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _stamp(index, cells, tag):
     for i in range(index.shape[0]):
         k = index[i]
-        cells[k] = cells[k] | bit
+        v = cells[k]
+        # v ^ tag is below 2^8 where the same part of the same particle was here, below 2^14 where the same particle.
+        is_double = np.uint32((v ^ tag) - _DOUBLE) < _SAME_PARTICLE
+        cells[k] = (v & _VOLUME) | tag | (_DOUBLE if is_double else _ZERO)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _gather(index, cells):
     """How many points lie in occupied voxels and in voxels of several parts, and the sum of the surface map."""
     occupied = _ZERO
@@ -85,82 +175,74 @@ def _gather(index, cells):
         v = cells[index[i]]
         surface += v & _SURFACE
         occupied += (v >> _OCCUPIED_SHIFT) & _ONE
-        parts = v >> _PART_SHIFT
-        double += _ONE if (parts & (parts - _ONE)) != _ZERO else _ZERO
+        double += (v >> _DOUBLE_SHIFT) & _ONE
     return occupied, double, surface
 
 
-@njit(cache=True, nogil=True)
-def _unstamp(index, cells):
-    for i in range(index.shape[0]):
-        k = index[i]
-        cells[k] = cells[k] & _VOLUME
+@njit(cache=True, nogil=True, error_model="numpy")
+def part_scores_kernel(states, chain, segments, box, crop, cells, counts):
+    """Fill counts (N, P', 4) int64: out, double, occupied, surface-sum (0..127 each), of states (N, D).
 
-
-@njit(cache=True, nogil=True)
-def part_scores_kernel(
-    states,
-    parent,
-    offset,
-    dof_joint,
-    dof_axis,
-    dof_column,
-    x,
-    y,
-    z,
-    start,
-    n_surface,
-    joint,
-    part,
-    center,
-    radius,
-    crop,
-    shape,
-    crop_lower,
-    voxel_size,
-    room_lower,
-    room_upper,
-    counts,
-):
-    """Fill counts (N, P, 4) int64: out, double, occupied, surface-sum (0..127 each), of states (N, D)."""
-    n_joints = parent.shape[0]
-    n_segments = joint.shape[0]
-    R = np.empty((n_joints, 3, 3))
-    t = np.empty((n_joints, 3))
+    chain : `Body.chain`.  crop : (V,) uint8.  cells : (V,) uint32, scratch; what it holds does not matter.
+    """
+    # Everything is unpacked here: a named tuple handed on costs a reference count per array and call.
+    parent, offset, dof_joint, dof_axis, dof_column = chain
+    x, y, z = segments.x, segments.y, segments.z
+    start, part, joint, n_surface = segments.start, segments.part, segments.joint, segments.n_surface
+    center, radius, n_scored = segments.center, segments.radius, segments.n_scored
+    shape, lower, voxel_size = box.shape, box.lower, box.voxel_size
+    room_lower, room_upper = box.room_lower, box.room_upper
+    n_segments = part.shape[0]
+    R = np.empty((parent.shape[0], 3, 3))
+    t = np.empty((parent.shape[0], 3))
     A = np.empty((3, 3), np.float32)
     b = np.empty(3, np.float32)
+    centers = np.empty((n_segments, 3))
     index = np.empty(x.shape[0], np.uint32)
-    cells = crop.astype(np.uint32)
     # The room in the crop's voxel units.
     box_lower = np.empty(3, np.float32)
     box_upper = np.empty(3, np.float32)
     for r in range(3):
-        box_lower[r] = (room_lower[r] - crop_lower[r]) / voxel_size
-        box_upper[r] = (room_upper[r] - crop_lower[r]) / voxel_size
+        box_lower[r] = (room_lower[r] - lower[r]) / voxel_size
+        box_upper[r] = (room_upper[r] - lower[r]) / voxel_size
     for n in range(states.shape[0]):
+        particle = n % (_N_TAGS - 1) + 1
+        if particle == 1:
+            for i in range(crop.shape[0]):
+                cells[i] = crop[i]
         forward_kinematics(states[n], parent, offset, dof_joint, dof_axis, dof_column, R, t)
         for s in range(n_segments):
-            j = joint[s]
-            touches_border = False
-            for r in range(3):
-                c = t[j, r]
-                for k in range(3):
-                    A[r, k] = R[j, r, k] / voxel_size
-                    c += R[j, r, k] * center[s, k]
-                b[r] = (t[j, r] - crop_lower[r]) / voxel_size
-                if c - radius[s] < room_lower[r] or c + radius[s] > room_upper[r]:
-                    touches_border = True
+            is_inside, touches_border = place_segment(
+                R,
+                t,
+                joint[s],
+                s,
+                center,
+                radius,
+                shape,
+                lower,
+                voxel_size,
+                room_lower,
+                room_upper,
+                A,
+                b,
+                centers,
+            )
             lo = start[s]
             hi = start[s + 1]
-            _voxel_indices(x[lo:hi], y[lo:hi], z[lo:hi], A, b, shape, index[lo:hi])
-            if touches_border:
+            if is_inside:
+                _indices_inside(x[lo:hi], y[lo:hi], z[lo:hi], A, b, shape, index[lo:hi])
+            else:
+                _voxel_indices(x[lo:hi], y[lo:hi], z[lo:hi], A, b, shape, index[lo:hi])
+            if touches_border and s < n_scored:
                 counts[n, part[s], 0] += _count_outside(
                     x[lo:hi], y[lo:hi], z[lo:hi], A, b, box_lower, box_upper
                 )
-            _stamp(index[lo:hi], cells, _ONE << (_PART_SHIFT + np.uint32(part[s])))
+            tag = (np.uint32(particle) << _PARTICLE_SHIFT) | (np.uint32(part[s]) << _PART_SHIFT)
+            _stamp(index[lo:hi], cells, tag)
         # Points outside the crop all fell on voxel 0: they meet nobody.
-        cells[0] = cells[0] & _VOLUME
-        for s in range(n_segments):
+        cells[0] = crop[0]
+        for s in range(n_scored):
             lo = start[s]
             middle = lo + n_surface[s]
             occupied, double, surface = _gather(index[lo:middle], cells)
@@ -168,4 +250,3 @@ def part_scores_kernel(
             more_occupied, more_double, _ = _gather(index[middle : start[s + 1]], cells)
             counts[n, part[s], 2] += occupied + more_occupied
             counts[n, part[s], 1] += double + more_double
-        _unstamp(index, cells)

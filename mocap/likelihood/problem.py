@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from mocap.body.flesh import LookUpTable
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.propagation import truncated_gaussian_step
+from mocap.likelihood.fast import fast_part_scores
 from mocap.likelihood.voxels import (
     PackedVolume,
     VoxelLikelihoodSettings,
@@ -39,8 +41,30 @@ class VoxelProblem:
     def propagate(self, particles: Array, std: Array, *, rng: np.random.Generator) -> Array:
         return truncated_gaussian_step(particles, std, self.layout.lower, self.layout.upper, rng=rng)
 
-    def log_likelihood(self, particles: Array) -> Array:
-        scores = part_scores(self.body, self.table, self.volume, particles, n_threads=self.n_threads)
+    def log_likelihood(
+        self, particles: Array, parts: Sequence[int] | None = None, given: Sequence[int] = ()
+    ) -> Array:
+        """Log-likelihoods of particles (N, D): one column per part asked for (all for None), or one for a global
+        likelihood, pooled over these parts.  given : parts that take up room but are not scored."""
+        args = self.body, self.table, self.volume, particles
+        if self.settings.kind == "fast":
+            scores = fast_part_scores(
+                *args, parts=parts, given=given, n_points=self.settings.n_points, n_threads=self.n_threads
+            )
+        else:
+            scores = part_scores(*args, parts=parts, given=given, n_threads=self.n_threads)
         if self.settings.factorised:
-            return factorised_log_likelihood(scores, self.body, self.settings)
-        return global_log_likelihood(scores, self.table, self.settings)
+            return factorised_log_likelihood(scores, self.body, self.settings, parts)
+        return global_log_likelihood(scores, self.table, self.settings, parts)
+
+    def occupancy(self, particles: Array, parts: Sequence[int] | None = None, *, own: bool = False) -> Array:
+        """Share of flesh in occupied voxels, of particles (N, D): (N, P'), one column per part asked for.
+
+        own : without what lies in voxels of another part as well, at least 0; all of that counts as occupied, which
+        it nearly always is.
+        Source: CF Eq. 6.15.
+        """
+        scores = part_scores(
+            self.body, self.table, self.volume, particles, parts=parts, n_threads=self.n_threads
+        )
+        return np.maximum(scores.occupied - scores.double, 0.0) if own else scores.occupied

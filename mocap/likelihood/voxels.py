@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +17,7 @@ from mocap.body.flesh import LookUpTable
 from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
 from mocap.data.voxels import VoxelGrid
-from mocap.likelihood._kernels import part_scores_kernel
+from mocap.likelihood._kernels import Box, Segments, part_scores_kernel
 
 Array = NDArray[np.float64]
 
@@ -33,6 +36,10 @@ class VoxelLikelihoodSettings:
     variance_surface: float = 0.1
     factorised: bool = True
     """Per-part likelihoods (CF 6.23); False pools all parts (CF 6.17-6.22)."""
+    kind: Literal["exact", "fast"] = "exact"
+    """All points of the body, or a sample of them (`fast.fast_part_scores`)."""
+    n_points: int = 200
+    """Points per part of the fast kind."""
 
     @property
     def variances(self) -> Array:
@@ -64,10 +71,21 @@ class PackedVolume:
         """World position of the crop's lower corner, (3,) m."""
         return self.grid.origin + self.lower_subscript * self.grid.voxel_size_m
 
+    @property
+    def box(self) -> Box:
+        """Place of crop and room, as the kernels take it."""
+        return Box(
+            shape=np.array(self.crop.shape, dtype=np.int64),
+            lower=self.lower_m,
+            voxel_size=float(self.grid.voxel_size_m),
+            room_lower=self.grid.origin,
+            room_upper=self.grid.upper,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class PartScores:
-    """The scores of CF 6.13-6.16 of N particles and P parts; each (N, P), in [0, 1].
+    """The scores of CF 6.13-6.16 of N particles and P parts (or those asked for); each (N, P), in [0, 1].
 
     out : share of points outside the room (reading guide 10).  double : share in voxels that another part also
     holds.  occupied : share in occupied voxels.  surface : mean of 1 - smoothed surface over surface points.
@@ -79,9 +97,91 @@ class PartScores:
     surface: Array
 
 
-def _counts_to_scores(counts: NDArray[np.int64], table: LookUpTable, n_parts: int) -> PartScores:
-    size = np.bincount(table.part, weights=np.diff(table.start), minlength=n_parts)
-    size_surface = np.bincount(table.part, weights=table.n_surface, minlength=n_parts)
+@lru_cache(maxsize=64)
+def _select(
+    table: LookUpTable, parts: tuple[int, ...], given: tuple[int, ...]
+) -> tuple[Segments, Array, Array]:
+    """Segments of `parts` (scored) and then of `given` (placed only), and the parts' numbers of points, two (P',).
+
+    Copied so that they lie together; a filter asks for the same few selections in every layer.
+    """
+    placed = [*parts, *given]
+    column_of = {p: i for i, p in enumerate(placed)}
+    order = [int(s) for p in placed for s in np.flatnonzero(table.part == p)]
+    length, n_surface = np.diff(table.start)[order], table.n_surface[order]
+    rows = [np.arange(table.start[s], table.start[s + 1]) for s in order]
+    x, y, z = np.ascontiguousarray(table.points[np.concatenate(rows) if rows else []].T)
+    column = np.array([column_of[p] for p in table.part[order].tolist()], dtype=np.int64)
+    n_scored = int((column < len(parts)).sum())
+
+    def per_part(count: NDArray[np.int64]) -> Array:
+        sums = np.bincount(column[:n_scored], weights=count[:n_scored], minlength=len(parts))
+        return sums.astype(np.float64)
+
+    return (
+        Segments(
+            x=x,
+            y=y,
+            z=z,
+            start=np.concatenate([[0], np.cumsum(length)]).astype(np.int64),
+            n_surface=n_surface,
+            joint=table.joint[order],
+            part=column,
+            center=table.center[order],
+            radius=table.radius[order],
+            n_scored=n_scored,
+        ),
+        per_part(length),
+        per_part(n_surface),
+    )
+
+
+_scratch = threading.local()
+
+
+def _cells(n: int) -> NDArray[np.uint32]:
+    """Scratch of n cells, one per thread: a fresh one costs as much as a hundred evaluations in page faults."""
+    held: NDArray[np.uint32] | None = getattr(_scratch, "cells", None)
+    if held is None or len(held) < n:
+        held = _scratch.cells = np.empty(n, dtype=np.uint32)
+    return held[:n]
+
+
+def check_states(body: Body, states: Array) -> Array:
+    """States (N, D) as the kernels take them; ValueError for another shape."""
+    s = np.ascontiguousarray(states, dtype=np.float64)
+    if s.ndim != 2 or s.shape[1] != body.layout.n_columns:
+        raise ValueError(f"states has shape {s.shape}, expected (N, {body.layout.n_columns})")
+    return s
+
+
+def chosen_parts(
+    body: Body, parts: Sequence[int] | None, given: Sequence[int]
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Parts to score, and parts that are only placed; ValueError for one that does not exist or comes twice."""
+    P = body.layout.n_parts
+    chosen = tuple(range(P)) if parts is None else tuple(int(p) for p in parts)
+    placed = tuple(sorted({int(p) for p in given} - set(chosen)))
+    if len(set(chosen)) < len(chosen) or not all(0 <= p < P for p in (*chosen, *placed)):
+        raise ValueError(
+            f"parts and given must be different indices in 0..{P - 1}, got {list(chosen)} and {list(given)}"
+        )
+    return chosen, placed
+
+
+def run_chunks(score: Callable[[int, int], None], n: int, n_threads: int) -> None:
+    """Call score(first, last) so that 0..n is covered, on several threads."""
+    n_chunks = min(n_threads, n)
+    if n_chunks <= 1:
+        score(0, n)
+        return
+    edges = np.linspace(0, n, n_chunks + 1).astype(int)
+    with ThreadPoolExecutor(n_chunks) as pool:
+        for job in [pool.submit(score, a, b) for a, b in itertools.pairwise(edges)]:
+            job.result()
+
+
+def _counts_to_scores(counts: NDArray[np.int64], size: Array, size_surface: Array) -> PartScores:
     return PartScores(
         out=counts[..., 0] / size,
         double=counts[..., 1] / size,
@@ -91,59 +191,55 @@ def _counts_to_scores(counts: NDArray[np.int64], table: LookUpTable, n_parts: in
 
 
 def part_scores(
-    body: Body, table: LookUpTable, volume: PackedVolume, states: Array, *, n_threads: int = 1
+    body: Body,
+    table: LookUpTable,
+    volume: PackedVolume,
+    states: Array,
+    *,
+    parts: Sequence[int] | None = None,
+    given: Sequence[int] = (),
+    n_threads: int = 1,
 ) -> PartScores:
     """Scores of states (N, D) against one frame's volume.
 
+    parts : the parts to score, in the order of the columns; None = all.  given : parts that are placed but not
+    scored: they count in the double occupancy of the others; all other parts are absent.
     Double occupancy is counted on the voxels of the crop; points outside it meet nobody. States with NaN give
     every point outside the crop (occupied 0). The result does not depend on n_threads.
+    Raises ValueError for states of a wrong shape and for parts that do not exist or come twice.
     Source: CF Eq. 6.12-6.16; departs from 6.13: outside means outside the room (reading guide 10).
     """
-    s = np.ascontiguousarray(states, dtype=np.float64)
-    if s.ndim != 2 or s.shape[1] != body.layout.n_columns:
-        raise ValueError(f"states has shape {s.shape}, expected (N, {body.layout.n_columns})")
-    counts = np.zeros((len(s), body.layout.n_parts, 4), dtype=np.int64)
-    x, y, z = (np.ascontiguousarray(table.points[:, i]) for i in range(3))
-    fixed: tuple[Any, ...] = (
-        *body.chain,
-        x,
-        y,
-        z,
-        table.start,
-        table.n_surface,
-        table.joint,
-        table.part,
-        table.center,
-        table.radius,
-        volume.crop.reshape(-1),
-        np.array(volume.crop.shape, dtype=np.int64),
-        volume.lower_m,
-        volume.grid.voxel_size_m,
-        volume.grid.origin,
-        volume.grid.upper,
-    )
-    n_chunks = min(n_threads, len(s))
-    if n_chunks <= 1:
-        part_scores_kernel(s, *fixed, counts)
-    else:
-        edges = np.linspace(0, len(s), n_chunks + 1).astype(int)
-        with ThreadPoolExecutor(n_chunks) as pool:
-            jobs = [
-                pool.submit(part_scores_kernel, *(s[a:b], *fixed, counts[a:b]))
-                for a, b in itertools.pairwise(edges)
-            ]
-            for job in jobs:
-                job.result()
-    return _counts_to_scores(counts, table, body.layout.n_parts)
+    s = check_states(body, states)
+    chosen, placed = chosen_parts(body, parts, given)
+    segments, size, size_surface = _select(table, chosen, placed)
+    counts = np.zeros((len(s), len(chosen), 4), dtype=np.int64)
+    crop = volume.crop.reshape(-1)
+
+    def score(first: int, last: int) -> None:
+        part_scores_kernel(
+            s[first:last], body.chain, segments, volume.box, crop, _cells(crop.size), counts[first:last]
+        )
+
+    run_chunks(score, len(s), n_threads)
+    return _counts_to_scores(counts, size, size_surface)
 
 
-def part_scores_numpy(body: Body, table: LookUpTable, volume: PackedVolume, states: Array) -> PartScores:
+def part_scores_numpy(
+    body: Body,
+    table: LookUpTable,
+    volume: PackedVolume,
+    states: Array,
+    *,
+    parts: Sequence[int] | None = None,
+    given: Sequence[int] = (),
+) -> PartScores:
     """The same scores written plainly with numpy: the kernel's twin and the benchmark's competitor.
 
     It counts in voxel units and float32 as the kernel does, so that both agree on points at a voxel's border. Voxel 0
     of the crop, part of its empty rim, is where the kernel puts points from outside: nobody meets there.
     """
     P = body.layout.n_parts
+    chosen, placed = chosen_parts(body, parts, given)
     R, t = joint_transforms(body, states)
     voxel_size, crop_lower = volume.grid.voxel_size_m, volume.lower_m
     A = (R / voxel_size).astype(np.float32)
@@ -154,9 +250,11 @@ def part_scores_numpy(body: Body, table: LookUpTable, volume: PackedVolume, stat
     shape = np.array(volume.crop.shape)
     flat = volume.crop.reshape(-1)
     segment = np.repeat(np.arange(len(table.joint)), np.diff(table.start))
-    part, joint = table.part[segment], table.joint[segment]
     is_surface = np.arange(len(segment)) - table.start[segment] < table.n_surface[segment]
-    x, y, z = (table.points[:, i, None] for i in range(3))
+    present = np.isin(table.part[segment], (*chosen, *placed))
+    segment, is_surface, points = segment[present], is_surface[present], table.points[present]
+    part, joint = table.part[segment], table.joint[segment]
+    x, y, z = (points[:, i, None] for i in range(3))
     owner = np.zeros(volume.crop.size, dtype=part.dtype)
     is_shared = np.zeros(volume.crop.size, dtype=np.bool_)
     for n in range(len(states)):
@@ -179,27 +277,38 @@ def part_scores_numpy(body: Body, table: LookUpTable, volume: PackedVolume, stat
         counts[n, :, 1] = np.bincount(part, weights=double, minlength=P)
         counts[n, :, 2] = np.bincount(part, weights=value >> 7, minlength=P)
         counts[n, :, 3] = np.bincount(part, weights=np.where(is_surface, value & SURFACE_MAX, 0), minlength=P)
-    return _counts_to_scores(counts, table, P)
+    return _counts_to_scores(counts[:, list(chosen)], *_select(table, chosen, placed)[1:])
 
 
-def factorised_log_likelihood(scores: PartScores, body: Body, settings: VoxelLikelihoodSettings) -> Array:
-    """Per-part log-likelihoods, (N, P): -1/2 sum of d^2 / sigma^2 over the four scores.
+def factorised_log_likelihood(
+    scores: PartScores, body: Body, settings: VoxelLikelihoodSettings, parts: Sequence[int] | None = None
+) -> Array:
+    """Per-part log-likelihoods, (N, P'): -1/2 sum of d^2 / sigma^2 over the four scores.
 
+    parts : the parts of the scores' columns; None = all.
     Source: CF Eq. 6.23-6.25 with the factors of Table 6.2; Empty = 1 - Occ (reading guide 12).
     """
-    variance = settings.variances * body.variance
+    factors = body.variance if parts is None else body.variance[np.array(parts, dtype=np.int64)]
+    variance = settings.variances * factors
     d = np.stack([scores.out, scores.double, 1.0 - scores.occupied, scores.surface], axis=-1)
     return -0.5 * np.sum(d**2 / variance, axis=-1)
 
 
-def global_log_likelihood(scores: PartScores, table: LookUpTable, settings: VoxelLikelihoodSettings) -> Array:
+def global_log_likelihood(
+    scores: PartScores,
+    table: LookUpTable,
+    settings: VoxelLikelihoodSettings,
+    parts: Sequence[int] | None = None,
+) -> Array:
     """One log-likelihood for the whole body, (N, 1): scores pooled over parts by their number of points.
 
+    parts : the parts of the scores' columns; None = all.
     Source: CF Eq. 6.17-6.22.
     """
-    n_parts = scores.out.shape[1]
-    size = np.bincount(table.part, weights=np.diff(table.start), minlength=n_parts)
-    size_surface = np.bincount(table.part, weights=table.n_surface, minlength=n_parts)
+    columns = slice(None) if parts is None else np.array(parts, dtype=np.int64)
+    n_parts = int(table.part.max()) + 1
+    size = np.bincount(table.part, weights=np.diff(table.start), minlength=n_parts)[columns]
+    size_surface = np.bincount(table.part, weights=table.n_surface, minlength=n_parts)[columns]
 
     def pooled(score: Array, weight: NDArray[np.number]) -> Array:
         return score @ weight / weight.sum()

@@ -12,6 +12,7 @@ from mocap.metrics.points import (
     point_errors,
     point_scores,
 )
+from mocap.metrics.polygons import corner_error
 from mocap.metrics.tracking import TrackingScores, tracking_scores
 from mocap.metrics.uncertainty import CoverageScores, coverage_scores
 from mocap.metrics.volume import VolumeScores, sum_volume_scores, volume_scores
@@ -25,6 +26,7 @@ __all__ = [
     "VolumeScores",
     "angle_scores",
     "associate_persons",
+    "corner_error",
     "coverage_scores",
     "epsilon_lilliefors",
     "epsilon_qq",

@@ -7,7 +7,7 @@ import json
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -30,6 +30,9 @@ class SegmentationConfig(_Section):
     """Frames, spread over the clip, that `median` looks at."""
     method: Literal["gaussian", "mog2", "knn"] = "gaussian"
     """Own running Gaussian with shadow test, or one of OpenCV's subtractors."""
+    hold_s: float = Field(default=600.0, gt=0)
+    """Seconds after which what never stops being foreground becomes background, such as a chair that was moved; longer
+    than anybody sits still."""
 
 
 class VolumeConfig(_Section):
@@ -42,6 +45,13 @@ class VolumeConfig(_Section):
     """Cameras that must have a voxel in view; `auto` = 4, or all when there are fewer."""
     room_bounds_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     """Lower and upper corner of the room; the session's own bounds or the cameras' common view when absent."""
+    outside_view: Literal["abstain", "background"] = "abstain"
+    """What a camera says of a voxel outside its picture: nothing, or `background`."""
+    visibility: Literal["line", "zbuffer"] = "line"
+    """How cameras that see a voxel are found: a walk to the optical centre, or a depth buffer per camera."""
+    on_bad_camera: Literal["warn", "exclude", "ignore"] = "exclude"
+    """A camera that moves, lags, freezes or goes black: `warn`; `exclude` = warn and carve without it from that frame
+    on; `ignore` = do not look for such cameras."""
 
 
 class TrackingConfig(_Section):
@@ -97,6 +107,21 @@ class PoseConfig(_Section):
     survival_rate: float = Field(default=0.5, gt=0, lt=1)
     """Target ESS / N of every layer. Source: CF 3.2.2."""
     resampling: Literal["systematic", "stratified", "multinomial", "residual", "weighted"] = "systematic"
+    hierarchy: str = "model2"
+    """Scalable body of shbm-apf and shbm-ddma-pf: `model1` (straight limbs first) or `model2` (proximal parts first),
+    each also as `_printed`, or a TOML file. Source: CF 7.3.2."""
+    level_particles: tuple[Annotated[int, Field(ge=2)], ...] = ()
+    """Particles of each of its models; none = as many as n_layers * n_particles evaluations pay for."""
+    level_layers: int = Field(default=2, ge=1, le=20)
+    """Annealing layers of each model. Source: CF 7.5.1."""
+    structural_rate: float = Field(default=0.8, gt=0, le=1)
+    """Factor on the noise covariance from model to model. Source: CF 7.5.1."""
+    crossing: Literal["direct", "mirror", "random"] = "mirror"
+    """Who gives columns to whom between models, by rank: best with best, mostly, or by chance. Source: CF 7.3.2.3."""
+    limbs: str = "limbs"
+    """Limbs that ddma-pf and shbm-ddma-pf may drop: `limbs` (a leg may end at the knee), `whole_limbs`, a TOML file."""
+    limb_evidence: Literal["published", "own"] = "published"
+    """A limb's data: all occupied voxels its flesh lies in (CF 7.4.2), or only those that no other part holds."""
     noise_scale: float = Field(default=1.0, gt=0)
     """Factor on the propagation noise, which is half of the body's largest expected speed per frame."""
     follow_track: bool = True

@@ -8,19 +8,19 @@ kept until then.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
-from mocap.filters import FILTERS, ParticleState, initial_particles, settings_for
+from mocap.filters import FILTERS, ParticleState, initial_particles
 from mocap.filters.annealing import annealed, layer_scales, next_beta
 from mocap.filters.resampling import systematic
 from mocap.filters.scout import limbs_of
 from mocap.filters.weights import normalise_log_weights
 from mocap.likelihood import MarkerProblem
-from mocap.pipeline.marker_problem import NARROW, WIDE, Fit, MarkerTools, ObservationOf
+from mocap.pipeline.marker_problem import WIDE, Fit, MarkerTools, ObservationOf
 
 Array = NDArray[np.float64]
 
@@ -35,6 +35,10 @@ _SCOUT_PARTICLES = 100
 _SCOUT_LAYERS = 3
 _SCOUT_STD_RAD = 0.5
 _FEEDBACK_SHARE = 0.5
+_LOST_SHARE = 0.6
+_LOST_FRAMES = 8
+_LOST_MEMORY = 60
+_AFTER_PAUSE_FRAMES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +54,25 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class BeamPath:
-    """The best path.  states : (T, D), cost : (T,) nats, is_seen : (T,) bool, ess_share : (T,), in the order walked.
+    """The best path, in the order walked.
 
-    ends : costs per frame of the hypotheses that were left, the best first.
+    states : (T, D).  fits : T, None where too little was seen.  ess_share : (T,).
+    ends : the hypotheses that were left after the last frame, the best first.
     """
 
     states: Array
-    cost: Array
-    is_seen: NDArray[np.bool_]
+    fits: tuple[Fit | None, ...]
     ess_share: Array
-    ends: Array
+    ends: tuple[Hypothesis, ...]
+
+    @property
+    def is_seen(self) -> NDArray[np.bool_]:
+        return np.array([fit is not None and fit.is_seen for fit in self.fits], dtype=np.bool_)
+
+    @property
+    def gain(self) -> Array:
+        """Nats that each frame's pose explains, (T,); 0 where too little was seen."""
+        return np.array([0.0 if fit is None else fit.gain for fit in self.fits])
 
 
 def follow_beam(
@@ -70,13 +83,16 @@ def follow_beam(
     *,
     rng_of: Callable[[int], np.random.Generator],
     n_hypotheses: int,
+    restart: Callable[[int], Sequence[Fit]] | None = None,
     tick: Callable[[], None] = lambda: None,
 ) -> BeamPath:
     """Follow the pose through frames, in the order given, from the candidates `first` (D,) in the first of them.
 
     Each hypothesis goes on from where it is and from where its velocity leads; the particle filter and a search for
     one limb, another one in every frame, add candidates to the best. All are refined; those that cost least in total
-    are kept. rng_of : frame -> generator.
+    are kept. Where the detections explained fall far below the usual for some frames, or come back after a pause,
+    `restart` is asked for poses found anew in that frame.
+    rng_of : frame -> generator.
     Raises ValueError when there is no frame or no candidate.
     """
     if len(frames) == 0 or len(first) == 0:
@@ -85,7 +101,9 @@ def follow_beam(
     alive = [Hypothesis(0.0, state, None, -1, None) for state in first]
     history: list[list[Hypothesis]] = []
     ess_share = np.full(len(frames), np.nan)
+    settings = tools.filter_settings()
     particles: ParticleState | None = None
+    watch = _Watch()
     for i, frame in enumerate(frames):
         observation, rng = observation_of(frame), rng_of(frame)
         starts = [(k, state) for k, h in enumerate(alive) for state in _next_states(tools, h)]
@@ -95,20 +113,12 @@ def follow_beam(
             alive = [Hypothesis(h.score, h.state, None, k, None) for k, h in enumerate(alive)]
             history.append(alive)
             particles = None
+            watch.lose_sight()
             tick()
             continue
         problem = tools.problem(observation)
         if particles is None:
-            particles = initial_particles(problem, alive[0].state, tools.pose.n_particles)
-        settings = settings_for(
-            tools.pose.filter,
-            layout=tools.body.layout,
-            std=tools.noise_std,
-            n_particles=tools.pose.n_particles,
-            n_layers=tools.pose.n_layers,
-            alpha=tools.pose.survival_rate,
-            resampling=tools.pose.resampling,
-        )
+            particles = initial_particles(problem, alive[0].state, settings.n_particles)
         particles, info = FILTERS[tools.pose.filter](problem, particles, settings, rng=rng)
         ess_share[i] = float(info.ess[-1]) / len(particles.weights)
         tried.append((0, tools.fit(observation, info.estimate)))
@@ -117,11 +127,43 @@ def follow_beam(
             wide = tools.problem(observation, gate_px=_SCOUT_GATE_PX)
             found = _search_limb(wide, base, limbs[i % len(limbs)], rng=rng)
             tried.append((0, tools.fit(observation, found, WIDE)))
+        if restart is not None and watch.is_due(max(fit.gain for _, fit in tried)):
+            tried += [(0, fit) for fit in restart(frame)]
         alive = _best(tools, alive, tried, n_hypotheses)
+        watch.note(max(fit.gain for _, fit in tried))
         history.append(alive)
         particles = _fed_back(particles, alive[0].state)
         tick()
     return _trace_back(history, ess_share)
+
+
+@dataclass
+class _Watch:
+    """Notices that the body is lost: what the pose explains of the detections falls far below the usual."""
+
+    n_bad: int = 0
+    n_after_pause: int = -1
+    gains: list[float] = field(default_factory=list)
+
+    def lose_sight(self) -> None:
+        self.n_after_pause = 0
+
+    def is_due(self, gain: float) -> bool:
+        """Whether a new start should be looked for in this frame."""
+        if self.n_after_pause >= 0:
+            # The first frames after a pause: a new start needs neighbours to tell true points from false ones.
+            self.n_after_pause += 1
+            if self.n_after_pause == _AFTER_PAUSE_FRAMES:
+                self.n_after_pause = -1
+                return True
+        usual = float(np.median(self.gains)) if len(self.gains) >= _LOST_FRAMES else 0.0
+        self.n_bad = self.n_bad + 1 if gain < _LOST_SHARE * usual else 0
+        return self.n_bad > 0 and self.n_bad % _LOST_FRAMES == 0
+
+    def note(self, gain: float) -> None:
+        if self.n_bad == 0:
+            self.gains.append(gain)
+            del self.gains[:-_LOST_MEMORY]
 
 
 def _next_states(tools: MarkerTools, hypothesis: Hypothesis) -> list[Array]:
@@ -200,7 +242,7 @@ def _fed_back(particles: ParticleState, state: Array) -> ParticleState:
     heaviest = np.argsort(-particles.weights, kind="stable")
     moved = particles.particles[heaviest].copy()
     moved[n - round(_FEEDBACK_SHARE * n) :] = state
-    return ParticleState(moved, np.full(n, 1.0 / n))
+    return replace(particles, particles=moved, weights=np.full(n, 1.0 / n))
 
 
 def _trace_back(history: Sequence[Sequence[Hypothesis]], ess_share: Array) -> BeamPath:
@@ -213,8 +255,7 @@ def _trace_back(history: Sequence[Sequence[Hypothesis]], ess_share: Array) -> Be
     path.reverse()
     return BeamPath(
         states=np.array([h.state for h in path]),
-        cost=np.array([np.nan if h.fit is None else h.fit.cost for h in path]),
-        is_seen=np.array([h.fit is not None and h.fit.is_seen for h in path]),
+        fits=tuple(h.fit for h in path),
         ess_share=ess_share,
-        ends=np.array([h.score / len(history) for h in history[-1]]),
+        ends=tuple(history[-1]),
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body
 from mocap.body.markers import Markers
-from mocap.filters import RefineSettings, refine
+from mocap.filters import FilterSettings, RefineSettings, refine
 from mocap.geometry.rigid import wrap_angle
 from mocap.likelihood import (
     MarkerFitProblem,
@@ -20,6 +20,7 @@ from mocap.likelihood import (
     MarkerProblem,
 )
 from mocap.pipeline.config import MarkersConfig, PoseConfig
+from mocap.pipeline.filter_settings import filter_settings
 
 Array = NDArray[np.float64]
 ObservationOf = Callable[[int], MarkerObservation]
@@ -43,6 +44,13 @@ class Fit:
     problem: MarkerFitProblem
 
     @property
+    def gain(self) -> float:
+        """Nats that the pose explains: what it would cost without any detection, less what it costs."""
+        matches, settings = self.problem.matches, self.problem.settings
+        n_possible = 0 if matches is None else int(matches.in_view.sum())
+        return 0.5 * settings.scale**2 * n_possible - self.cost
+
+    @property
     def is_seen(self) -> bool:
         """Whether enough markers were matched in two views or more."""
         matches = self.problem.matches
@@ -64,6 +72,10 @@ class MarkerTools:
     def noise_std(self) -> Array:
         """(D,) standard deviation per frame: half of the largest expected movement (CF 3.2.2)."""
         return 0.5 * self.body.max_speed / self.fps * self.pose.noise_scale
+
+    def filter_settings(self) -> FilterSettings:
+        """Settings of the configured filter."""
+        return filter_settings(self.pose, self.body.layout, self.noise_std)
 
     def problem(self, observation: MarkerObservation, gate_px: float | None = None) -> MarkerProblem:
         """The filter's problem of one frame."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,10 @@ from mocap.likelihood import MarkerObservation
 from mocap.pipeline.marker_problem import WIDE, Fit, MarkerTools, ObservationOf
 
 Array = NDArray[np.float64]
+PointsOf = Callable[[int], Array]
 
 _MAX_ERROR_PX = 6.0
 _STEADY_M = 0.05  # a marker is found again this near in a neighbouring frame; false points are not
-_NEIGHBOURS = (-2, -1, 1, 2)
 _N_YAWS = 24
 _ICP_ROUNDS = 8
 _ICP_SCALE_M = 0.15
@@ -33,31 +34,37 @@ _APART_M = 0.25
 MIN_POINTS = 5
 
 
-def steady_points(observation_of: ObservationOf, frame: int, frames: range) -> Array:
-    """Points (K, 3) m of a frame on which views agree and that neighbouring frames show nearby too.
+def points_of_frames(observation_of: ObservationOf) -> PointsOf:
+    """Frame -> points (K, 3) m on which the views agree; the last frames are remembered."""
+
+    @lru_cache(maxsize=64)
+    def points_of(frame: int) -> Array:
+        observation = observation_of(frame)
+        views = observation.views
+        detections = [observation.of_view(c) for c in range(views.n_views)]
+        min_views = min(views.n_views, max(2, (views.n_views + 1) // 2))
+        return triangulate_unlabelled(
+            views.P, detections, max_error_px=_MAX_ERROR_PX, min_views=min_views
+        ).points
+
+    return points_of
+
+
+def steady_points(points_of: PointsOf, frame: int, frames: range) -> Array:
+    """Points (K, 3) m of a frame that a neighbouring frame shows nearby too.
 
     With many false detections a frame alone has as many false points as true ones; over time they do not last.
     """
-    points = _points(observation_of(frame))
+    points = points_of(frame)
+    neighbours = [frame + step for step in (-1, 1) if frame + step in frames]
+    if not neighbours:
+        return points
     is_steady = np.zeros(len(points), dtype=np.bool_)
-    has_neighbour = False
-    for step in _NEIGHBOURS:
-        if frame + step in frames and len(points):
-            has_neighbour = True
-            others = _points(observation_of(frame + step))
-            if len(others):
-                d = np.linalg.norm(points[:, None] - others[None], axis=2).min(axis=1)
-                is_steady |= d < _STEADY_M
-    return points[is_steady] if has_neighbour else points
-
-
-def _points(observation: MarkerObservation) -> Array:
-    views = observation.views
-    detections = [observation.of_view(c) for c in range(views.n_views)]
-    min_views = min(views.n_views, max(2, (views.n_views + 1) // 2))
-    return triangulate_unlabelled(
-        views.P, detections, max_error_px=_MAX_ERROR_PX, min_views=min_views
-    ).points
+    for other in neighbours:
+        others = points_of(other)
+        if len(others) and len(points):
+            is_steady |= np.linalg.norm(points[:, None] - others[None], axis=2).min(axis=1) < _STEADY_M
+    return points[is_steady]
 
 
 def height_from_points(points_of_frames: Sequence[Array]) -> float | None:
@@ -93,7 +100,7 @@ def find_starts(
     points : (K, 3) m, steady ones.
     """
     body = tools.body
-    yaws: Array = np.arange(_N_YAWS) * (2 * np.pi / _N_YAWS)
+    yaws: Array = np.arange(_N_YAWS, dtype=np.float64) * (2 * np.pi / _N_YAWS)
     middle = np.median(points, axis=0)
     floor = np.array([[middle[0], middle[1], 0.0]])
     states, labels = candidate_states(body, np.vstack([points, floor]), yaws)

@@ -26,8 +26,9 @@ from mocap.io.video import FrameReader
 from mocap.metrics import point_errors
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose import PersonPoses
-from mocap.pipeline.stages import hull_from_arrays, masks_from_arrays, stored_grid
+from mocap.pipeline.stages import detections_at, hull_from_arrays, masks_from_arrays, stored_grid
 from mocap.view import BodyPart, Figure, FramePanel
+from mocap.volume import choose_grid, silhouette_residuals
 
 if TYPE_CHECKING:
     from mocap.pipeline.run import RunResult
@@ -35,8 +36,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Progress = Callable[[str, int, int], None]
+Bounds = tuple[list[float], list[float]]
 
 _PANEL_HEIGHT_PX = 420
+_BOUNDS_STEP_M = 0.1
+_RESIDUAL_FRAMES = 12  # of which hull and silhouettes are compared
 _UNPUBLISHED = ".outputs.partial"
 
 OUTPUT_WORDS = {
@@ -192,8 +196,9 @@ def write_scene(result: RunResult, store: StageStore, path: Path) -> None:
     from mocap.view import SceneFrame, write_rrd
 
     session = result.session
-    grid = stored_grid(store)
-    hulls = store.reader("carve")
+    has_volume = "carve" in result.numbers
+    hulls = store.reader("carve") if has_volume else None
+    bounds = _room_bounds(result, store)
 
     def scene_frames() -> Iterator[SceneFrame]:
         reader = (
@@ -201,14 +206,15 @@ def write_scene(result: RunResult, store: StageStore, path: Path) -> None:
         )
         try:
             images = iter(reader) if reader is not None else None
-            for frame, arrays in hulls:
+            for frame in session.frames:
+                hull = None if hulls is None else hull_from_arrays(stored_grid(store), hulls.read(frame))
                 rows = _rows_at(result.poses, frame)
                 picture = next(images)[1] if images is not None else None
                 yield SceneFrame(
                     frame=frame,
                     time_s=frame / session.fps,
                     images=dict(zip(session.rig.names, picture, strict=True)) if picture else None,
-                    hull=hull_from_arrays(grid, arrays),
+                    hull=hull,
                     persons={p.person: p.landmarks[i] for p, i in rows},
                     parts={p.person: body_parts(p.body, p.states[i]) for p, i in rows},
                 )
@@ -221,9 +227,18 @@ def write_scene(result: RunResult, store: StageStore, path: Path) -> None:
         session.rig,
         scene_frames(),
         tracks=result.tracks,
-        bounds_m=(grid.origin.tolist(), grid.upper.tolist()),
+        bounds_m=bounds,
         n_frames=len(session.frames),
     )
+
+
+def _room_bounds(result: RunResult, store: StageStore) -> Bounds:
+    """Lower and upper corner of the room, m: the voxel grid's, the session's, or the cameras' common view."""
+    if "carve" in result.numbers:
+        grid = stored_grid(store)
+    else:
+        grid = choose_grid(result.session.rig, _BOUNDS_STEP_M, bounds_m=result.session.room_bounds_m)
+    return grid.origin.tolist(), grid.upper.tolist()
 
 
 def write_run_report(
@@ -242,14 +257,12 @@ def write_run_report(
             outputs.append((name, words))
     scores = result.scores or {}
     height = ", ".join(f"person {p.person}: {p.body.height_m:.2f} m" for p in result.poses)
-    volume = result.numbers.get("carve", {})
     summary = [
         ("Cameras", ", ".join(session.rig.names)),
         ("Frames", f"{session.frames.start} to {session.frames.stop - 1} at {session.fps:g} frames/s"),
         ("Body height", height or "no person"),
-        ("Mean volume of the hull", f"{volume.get('mean_volume_litres', 0)} litres"),
-        ("Cameras that may be wrong about a voxel", str(volume.get("n_faulty_views", 0))),
-        ("Pose filter", _filter_words(config)),
+        *_observation_words(result),
+        ("Pose filter", _filter_words(config, is_markers="detect" in result.numbers)),
         ("Seed", str(seed)),
     ]
     data = ReportData(
@@ -275,14 +288,50 @@ def write_run_report(
         command=command or f"mocap run {session.name} -o {result.out.name} --seed {seed}",
         config_text=json.dumps(config.model_dump(mode="json"), indent=1),
         versions=versions(),
+        silhouettes=_silhouette_numbers(result, store),
     )
     write_report(folder / "report.html", data)
 
 
-def _filter_words(config: Config) -> str:
+def _silhouette_numbers(result: RunResult, store: StageStore) -> dict[str, dict[str, float | None]]:
+    """The quality of each camera's masks, with the share that the hull of some frames does not reach."""
+    numbers = {name: dict(row) for name, row in result.numbers.get("segment", {}).get("cameras", {}).items()}
+    if not numbers or "carve" not in result.numbers:
+        return numbers
+    grid, hulls, masks = stored_grid(store), store.reader("carve"), store.reader("segment")
+    uncovered = []
+    for frame in _chosen_frames(result, hulls.frames, _RESIDUAL_FRAMES):
+        hull = hull_from_arrays(grid, hulls.read(int(frame)))
+        silhouettes = masks_from_arrays(masks.read(int(frame)), result.session)
+        if len(hull):
+            uncovered.append(silhouette_residuals(hull, silhouettes, result.session.rig).uncovered)
+    for c, name in enumerate(result.session.rig.names):
+        known = [float(row[c]) for row in uncovered if np.isfinite(row[c])]
+        numbers[name]["residual"] = float(np.median(known)) if known else None
+    return numbers
+
+
+def _observation_words(result: RunResult) -> list[tuple[str, str]]:
+    """What the poses were found from."""
+    detect, volume = result.numbers.get("detect"), result.numbers.get("carve", {})
+    if detect is not None:
+        source = {"detections": "detections/", "colour": "their colour in the pictures"}[detect["source"]]
+        return [
+            ("Markers found by", source),
+            ("Marker detections", f"{detect['mean_detections_per_picture']} per picture"),
+        ]
+    return [
+        ("Mean volume of the hull", f"{volume.get('mean_volume_litres', 0)} litres"),
+        ("Cameras that may be wrong about a voxel", str(volume.get("n_faulty_views", 0))),
+    ]
+
+
+def _filter_words(config: Config, *, is_markers: bool) -> str:
     pose = config.pose
     text = f"{pose.filter}, {pose.n_layers} layers of {pose.n_particles} particles"
-    if pose.refine:
+    if pose.refine and is_markers:
+        text += ", refined on the detections"
+    elif pose.refine:
         text += ", refined on the hull's surface"
     return text
 
@@ -295,6 +344,7 @@ def _figures(result: RunResult, store: StageStore) -> Iterator[Figure]:
         plot_filter_health,
         plot_foreground_share,
         plot_landmark_errors,
+        plot_mask_quality,
         plot_stage_timing,
         plot_track_map,
     )
@@ -322,7 +372,6 @@ def _figures(result: RunResult, store: StageStore) -> Iterator[Figure]:
     truth_tracks = None
     if truth is not None and (truth / "tracks.csv").exists():
         truth_tracks = read_tracks_csv(truth / "tracks.csv")
-    grid = stored_grid(store)
     yield Figure(
         "Paths from above",
         "Cameras, room and the path of every person; truth dashed where it is known.",
@@ -330,7 +379,7 @@ def _figures(result: RunResult, store: StageStore) -> Iterator[Figure]:
             session.rig,
             result.tracks,
             truth_tracks,
-            bounds_m=(grid.origin.tolist(), grid.upper.tolist()),
+            bounds_m=_room_bounds(result, store),
         ),
         section="tracks",
     )
@@ -342,18 +391,27 @@ def _figures(result: RunResult, store: StageStore) -> Iterator[Figure]:
             plot_stage_timing(timing),
             section="timing",
         )
-    frames, share = [], []
-    for frame, arrays in store.reader("segment"):
-        frames.append(frame)
-        share.append(arrays["share"])
-    shares = np.array(share, dtype=np.float64)
-    yield Figure(
-        "Foreground by camera",
-        "Share of the picture that was taken for a person; a jump in one camera is a light or a bump.",
-        plot_foreground_share(
-            np.array(frames), {name: shares[:, c] for c, name in enumerate(session.rig.names)}
-        ),
-    )
+    if "segment" in result.numbers:
+        frames, share = [], []
+        for frame, arrays in store.reader("segment"):
+            frames.append(frame)
+            share.append(arrays["share"])
+        shares = np.array(share, dtype=np.float64)
+        yield Figure(
+            "Foreground by camera",
+            "Share of the picture that was taken for a person; a jump in one camera is a light or a bump.",
+            plot_foreground_share(
+                np.array(frames), {name: shares[:, c] for c, name in enumerate(session.rig.names)}
+            ),
+        )
+    silhouettes = _silhouette_numbers(result, store)
+    if silhouettes:
+        yield Figure(
+            "Defects of the silhouettes",
+            "Long bars mark cameras whose silhouettes to look at.",
+            plot_mask_quality(silhouettes),
+            section="silhouettes",
+        )
     if result.poses and len(session.frames) > 1:
         health = [
             FilterHealth(
@@ -389,6 +447,9 @@ def errors_by_person(result: RunResult, truth_dir: Path) -> dict[int, tuple[NDAr
 def _panels(result: RunResult, store: StageStore, config: Config) -> Iterator[FramePanel]:
     """Pictures of a few frames: image, silhouette, hull and fitted body in a few cameras."""
     session = result.session
+    if "detect" in result.numbers:
+        yield from marker_panels(result, store, config)
+        return
     grid = stored_grid(store)
     hulls, masks = store.reader("carve"), store.reader("segment")
     frames = hulls.frames
@@ -404,6 +465,42 @@ def _panels(result: RunResult, store: StageStore, config: Config) -> Iterator[Fr
                 frame=int(frame),
                 title=f"{session.rig[c].name}",
                 images=tuple(_views(result, c, images[c], mask[c], hull, rows)),
+            )
+
+
+def marker_panels(result: RunResult, store: StageStore, config: Config) -> Iterator[FramePanel]:
+    """Pictures of a few frames: image, detections and fitted body in a few cameras."""
+    from mocap.view import crop, draw_body, draw_skeleton, person_window
+    from mocap.view.detections import draw_detections
+
+    session = result.session
+    frames = np.array(session.frames, dtype=np.int64)
+    step = max(1, -(-len(session.rig) // config.output.report_cameras))
+    for frame in _chosen_frames(result, frames, config.output.report_frames):
+        images = _images_at(result, int(frame))
+        detections = detections_at(store, session, int(frame))
+        rows = _rows_at(result.poses, int(frame))
+        for c in list(range(0, len(session.rig), step))[: config.output.report_cameras]:
+            camera, image = session.rig[c], images[c]
+            points = [p.landmarks[i] for p, i in rows]
+            window = person_window(camera, np.concatenate(points)) if points else (0, 0, *camera.size)
+            scale = _PANEL_HEIGHT_PX / max(1, window[3] - window[1])
+            body, skeleton = image, draw_detections(image, camera, detections[c])
+            for p, i in rows:
+                body = draw_body(body, camera, body_parts(p.body, p.states[i]))
+                skeleton = draw_skeleton(
+                    skeleton, camera, p.landmarks[i], p.observed[i], label=f"person {p.person}"
+                )
+            views = (
+                ("image", image),
+                ("detections", draw_detections(image, camera, detections[c])),
+                ("fitted body", body),
+                ("skeleton and detections", skeleton),
+            )
+            yield FramePanel(
+                frame=int(frame),
+                title=camera.name,
+                images=tuple((label, crop(picture, window, scale=scale)) for label, picture in views),
             )
 
 

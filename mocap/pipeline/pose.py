@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from mocap.body import Body, head_top, height_from_tops, landmarks_of
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, VoxelGrid
-from mocap.filters import FILTERS, ParticleState, initial_particles, settings_for
+from mocap.filters import FILTERS, ParticleState, initial_particles
 from mocap.likelihood import part_scores
+from mocap.pipeline.filter_settings import filter_settings
 from mocap.pipeline.first_pose import (
     FirstPose,
     PoseSearch,
@@ -104,15 +105,7 @@ def filter_frames(
     and observed = False.
     """
     step = FILTERS[tools.pose.filter]
-    settings = settings_for(
-        tools.pose.filter,
-        layout=tools.body.layout,
-        std=tools.noise_std,
-        n_particles=tools.pose.n_particles,
-        n_layers=tools.pose.n_layers,
-        alpha=tools.pose.survival_rate,
-        resampling=tools.pose.resampling,
-    )
+    settings = filter_settings(tools.pose, tools.body.layout, tools.noise_std)
     particles: ParticleState | None = None
     estimate = first
     last_xyz = xyz[order[0]] if len(order) else np.zeros(3)
@@ -142,7 +135,7 @@ def filter_frames(
         if tools.pose.follow_track:
             moved = particles.particles.copy()
             moved[:, :3] += xyz[i] - last_xyz
-            particles = ParticleState(moved, particles.weights)
+            particles = replace(particles, particles=moved)
         last_xyz = xyz[i]
         previous = None if blind_std > 0 else estimate
         blind_std = 0.0
@@ -178,7 +171,7 @@ def filter_frames(
             state=estimate,
             landmarks=landmarks_of(tools.body, estimate[None])[0],
             landmark_covariance=spread + (0.5 * tools.grid.voxel_size_m) ** 2 * np.eye(3),
-            observed=_observed_landmarks(tools.body, scores.occupied[0]),
+            observed=_observed_landmarks(tools.body, scores.occupied[0], info.observed_parts),
             log_likelihood=float(problem.log_likelihood(estimate[None]).sum()),
             evidence=value,
             ess_share=float(info.ess[-1]) / len(particles.weights),
@@ -340,11 +333,17 @@ def _feed_back(particles: ParticleState, estimate: Array, share: float) -> Parti
     weights *= (1.0 - share) / rest if rest > 0 else 0.0
     states[lightest] = estimate
     weights[lightest] = (share if rest > 0 else 1.0) / m
-    return ParticleState(states, weights)
+    return replace(particles, particles=states, weights=weights)
 
 
-def _observed_landmarks(body: Body, occupied: Array) -> NDArray[np.bool_]:
-    """A landmark is observed when the parts at its joint lie in occupied voxels.  occupied : (P,)."""
+def _observed_landmarks(
+    body: Body, occupied: Array, observed_parts: NDArray[np.bool_] | None
+) -> NDArray[np.bool_]:
+    """A landmark is observed when the part at its joint lies in occupied voxels and the filter has not lost it.
+
+    occupied : (P,).  observed_parts : (P,), None for a filter that does not judge.
+    """
     part_of_joint = {int(j): int(p) for j, p in zip(body.cones.joint, body.cones.part, strict=True)}
     parts = [part_of_joint.get(int(j), 0) for j in body.landmark_joint]
-    return occupied[parts] >= _OBSERVED_OCCUPANCY
+    is_observed = occupied[parts] >= _OBSERVED_OCCUPANCY
+    return is_observed if observed_parts is None else is_observed & observed_parts[parts]

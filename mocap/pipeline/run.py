@@ -96,17 +96,14 @@ def run_session(
     threads = n_threads or min(2, os.cpu_count() or 1)
     if not isinstance(session, Session):
         session = open_session(session, calibration=calibration, frames=frames)
-    if not session.image_sources and not session.mask_sources:
-        raise MocapError(
-            "the session has neither videos nor masks; marker detections alone are not supported yet",
-            path=session.root,
-            remedy="add videos/, images/ or masks/",
-        )
+    kind = stages.observation_kind(session, config)
+    if kind == "markers":
+        stages.check_marker_config(config)
     out = Path(out)
     _check_writable(out)
     store = StageStore(out / "store.zarr")
 
-    keys = stage_keys(session, config, seed)
+    keys = stage_keys(session, config, seed, kind)
     timings: dict[str, float] = {}
     reused: list[str] = []
     warnings: list[str] = list(session.warnings)
@@ -122,35 +119,55 @@ def run_session(
         timings[stage] = time.perf_counter() - started
         return result
 
-    do(
-        "segment",
-        lambda: stages.segment_stage(
-            session, config, store, keys["segment"], n_threads=threads, progress=tick
-        ),
-    )
-    report = stages.segment_report(store, session)
-    warnings += report.warnings
-    numbers["segment"] = report.numbers
-
-    if last >= 1:
-        do("carve", lambda: stages.carve_stage(session, config, store, keys["carve"], progress=tick))
-        report = stages.carve_report(store)
-        warnings += report.warnings
-        numbers["carve"] = report.numbers
-
     tracks: Tracks | None = None
-    if last >= 2:
-        do("track", lambda: stages.track_stage(session, config, store, keys["track"], progress=tick))
+    if kind == "markers":
+        do("detect", lambda: stages.detect_stage(session, config, store, keys["detect"], progress=tick))
+        report = stages.detect_report(store, session)
+        warnings += report.warnings
+        numbers["detect"] = report.numbers
+    else:
+        do(
+            "segment",
+            lambda: stages.segment_stage(
+                session, config, store, keys["segment"], n_threads=threads, progress=tick
+            ),
+        )
+        report = stages.segment_report(store, session)
+        warnings += report.warnings
+        numbers["segment"] = report.numbers
+
+        if last >= 1:
+            do("carve", lambda: stages.carve_stage(session, config, store, keys["carve"], progress=tick))
+            report = stages.carve_report(store)
+            warnings += report.warnings
+            numbers["carve"] = report.numbers
+
+        if last >= 2:
+            do("track", lambda: stages.track_stage(session, config, store, keys["track"], progress=tick))
+            tracks = stages.stored_tracks(store, session.fps)
+            numbers["track"] = {"n_persons": len(tracks.persons)}
+            if not tracks.persons:
+                warnings.append(
+                    "no person was found in the volume. Remedy: look at the silhouettes and the hull in the report; "
+                    "a person needs some 15 to 500 litres of connected volume"
+                )
+
+    poses: list[PersonPoses] = []
+    if last >= 3 and kind == "markers":
+        do(
+            "pose",
+            lambda: stages.marker_pose_stage(
+                session, config, store, keys["pose"], seed=seed, progress=tick
+            ),
+        )
         tracks = stages.stored_tracks(store, session.fps)
         numbers["track"] = {"n_persons": len(tracks.persons)}
         if not tracks.persons:
             warnings.append(
-                "no person was found in the volume. Remedy: look at the silhouettes and the hull in the report; "
-                "a person needs some 15 to 500 litres of connected volume"
+                "no person was found in the detections. Remedy: look at the detections in the report; the cameras "
+                "must agree on some markers, and the calibration must be that of the detections"
             )
-
-    poses: list[PersonPoses] = []
-    if last >= 3 and tracks is not None:
+    elif last >= 3 and tracks is not None:
         do(
             "pose",
             lambda: stages.pose_stage(
@@ -164,6 +181,7 @@ def run_session(
                 progress=tick,
             ),
         )
+    if last >= 3:
         poses = stages.stored_poses(store)
         warnings += [w for p in poses for w in p.warnings]
         numbers["pose"] = {
@@ -203,10 +221,17 @@ def run_session(
     return result
 
 
-def stage_keys(session: Session, config: Config, seed: int) -> dict[str, str]:
-    """The key of every stage: a hash of its configuration, its inputs, the code and the stage before."""
+def stage_keys(session: Session, config: Config, seed: int, kind: str = "voxels") -> dict[str, str]:
+    """The key of every stage: a hash of its configuration, its inputs, the code and the stage before.
+
+    kind : `markers` or `voxels`, which have stages of their own.
+    """
     inputs = _fingerprint_inputs(session)
     code = code_hash()
+    if kind == "markers":
+        detect = config_hash(code, inputs, config.markers)
+        pose = config_hash(detect, config.body, config.pose, seed, session.person_height_m, session.fps)
+        return {"detect": detect, "pose": pose}
     segment = config_hash(code, inputs, config.segmentation)
     carve = config_hash(segment, config.volume, str(session.room_bounds_m))
     track = config_hash(carve, config.tracking)
@@ -234,7 +259,10 @@ def _fingerprint_inputs(session: Session) -> str:
     for camera in session.rig:
         for array in (camera.K, camera.dist, camera.R, camera.t):
             digest.update(array.tobytes())
-    for kind in (session.image_sources, session.background_sources, session.mask_sources):
+    digest.update(repr((session.fps, sorted(session.roi_px.items()))).encode())
+    marker_files = {path.name: path for path in stages.marker_inputs(session)}
+    masks = (session.mask_sources, session.roi_sources)
+    for kind in (session.image_sources, session.background_sources, *masks, marker_files):
         for name in sorted(kind):
             source = kind[name]
             files = sorted(p for p in source.rglob("*") if p.is_file()) if source.is_dir() else [source]

@@ -32,7 +32,7 @@ def score_run(result: RunResult, store: StageStore, *, epsilon_mm: float = 100.0
         read_landmarks_csv(truth_dir / "landmarks.csv"),
         result.tracks,
         read_tracks_csv(tracks_path) if tracks_path.exists() else None,
-        volume_overlap(truth_dir, store),
+        volume_overlap(truth_dir, store) if "carve" in result.numbers else None,
         epsilon_mm,
         frames=list(result.session.frames),
     )

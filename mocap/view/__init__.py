@@ -21,6 +21,7 @@ from mocap.view.plots import (
     plot_foreground_share,
     plot_joint_angles,
     plot_landmark_errors,
+    plot_mask_quality,
     plot_stage_timing,
     plot_track_map,
 )
@@ -51,6 +52,7 @@ __all__ = [
     "plot_foreground_share",
     "plot_joint_angles",
     "plot_landmark_errors",
+    "plot_mask_quality",
     "plot_stage_timing",
     "plot_track_map",
     "write_report",

@@ -210,6 +210,30 @@ def plot_foreground_share(frames: Frames, shares: Mapping[str, Array]) -> bytes:
     return _png(figure)
 
 
+def plot_mask_quality(numbers: Mapping[str, Mapping[str, float | None]]) -> bytes:
+    """Flicker, leakage and disagreement with the volume as bars, per camera.
+
+    numbers : camera -> `flicker`, `leakage`, `residual`, shares 0..1; None = not known.
+    """
+    kinds = {"flicker": "flicker", "leakage": "leakage", "residual": "outside the volume"}
+    figure, (ax,) = _figure(1, height=0.9 + 0.34 * max(2, len(numbers)))
+    place = np.arange(len(numbers))
+    longest = 0.0
+    for i, (key, label) in enumerate(kinds.items()):
+        values = [numbers[camera].get(key) for camera in numbers]
+        width = [100 * v if v is not None and np.isfinite(v) else 0.0 for v in values]
+        longest = max([longest, *width])
+        ax.barh(place + 0.26 * (i - 1), width, height=0.24, color=LINE_COLOURS[i], label=label)
+    if not numbers:
+        _empty(ax, "no masks were made")
+    ax.set_yticks(place, list(numbers))
+    ax.invert_yaxis()
+    # Good masks must not look bad because the axis ends at the worst of them.
+    ax.set_xlim(0, max(5.0, 1.05 * longest))
+    _finish(ax, "", "% of the foreground", "", grid="x", legend=True)
+    return _png(figure)
+
+
 def plot_filter_health(health: Sequence[FilterHealth]) -> bytes:
     """Effective sample size, survival rate and log-likelihood of the particle filters over time.
 

@@ -23,7 +23,7 @@ from mocap.errors import MocapError
 from mocap.view.overlay import MASK_COLOUR, SIDE_COLOURS, Colour
 
 Image = NDArray[np.uint8]
-Section = Literal["accuracy", "tracks", "timing", "other"]
+Section = Literal["accuracy", "silhouettes", "tracks", "timing", "other"]
 
 MAX_BYTES = 6_000_000
 
@@ -96,6 +96,20 @@ SCORES: dict[str, Score] = {
     ),
     "frames": Score("Frames scored", "", "Frames in which estimate and truth could be compared."),
 }
+MASK_NUMBERS: dict[str, tuple[str, str]] = {
+    "foreground_share": ("Foreground", "share of the picture"),
+    "shadow_share": ("Shadow", "share of the picture"),
+    "flicker": (
+        "Flicker",
+        "share of the foreground that goes on or off for one frame while all around stays",
+    ),
+    "leakage": ("Leakage", "share of the foreground in small pieces apart from the persons"),
+    "border_share": ("Cut off", "share of the frames in which a person touches the border of the picture"),
+    "residual": (
+        "Outside the volume",
+        "share of the silhouette that the volume of all cameras does not reach",
+    ),
+}
 _HEADLINE = ("mean_error_mm", "mmta_percent", "mmtp_mm", "mota_percent", "motp_mm", "volume_iou")
 
 
@@ -130,6 +144,7 @@ class ReportData:
     warnings : plain sentences; what follows "Remedy:" in one of them is set apart.  scores : keys of SCORES
     -> number or None = does not apply.  per_landmark_mm : landmark -> mean error, mm.
     timings : stage -> (seconds in all, milliseconds per frame or None).
+    silhouettes : camera -> keys of MASK_NUMBERS -> share 0..1 or None = not known.
     outputs : (file name, what it is for).  command : how to make this result again.
     """
 
@@ -151,6 +166,7 @@ class ReportData:
     command: str = ""
     config_text: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
+    silhouettes: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
 
 
 def write_report(path: Path, data: ReportData, *, max_bytes: int = MAX_BYTES) -> None:
@@ -246,6 +262,7 @@ def _page(data: ReportData, panels: Sequence[FramePanel], width: int, quality: i
         ("warnings", "Warnings", _warnings_section(data.warnings)),
         ("pictures", "Pictures", _pictures_section(data, panels, width, quality)),
         ("accuracy", "Accuracy", _accuracy_section(data)),
+        *([("silhouettes", "Silhouettes", _silhouettes_section(data))] if data.silhouettes else []),
         ("tracks", "Paths", _figures(data, "tracks") or _none("No map of the paths was made.")),
         ("timing", "Timing", _timing_section(data)),
     ]
@@ -410,6 +427,27 @@ def _landmark_table(per_landmark_mm: Mapping[str, float | None]) -> str:
         "<details><summary>Mean error of each landmark, in numbers</summary><div class='scroll'><table><thead>"
         "<tr><th scope='col'>Landmark</th><th scope='col' class='number'>Mean error</th><th scope='col'>"
         f"<span class='sr'>as a bar</span></th></tr></thead><tbody>{rows}</tbody></table></div></details>"
+    )
+
+
+def _silhouettes_section(data: ReportData) -> str:
+    heads = "".join(
+        f'<th scope="col" class="number" title="{_text(meaning)}">{_text(name)} (%)</th>'
+        for name, meaning in MASK_NUMBERS.values()
+    )
+    rows = ""
+    for camera, numbers in data.silhouettes.items():
+        cells = ""
+        for key in MASK_NUMBERS:
+            value = numbers.get(key)
+            cells += f'<td class="number">{"" if value is None else f"{100 * value:.1f}"}</td>'
+        rows += f'<tr><th scope="row">{_text(camera)}</th>{cells}</tr>'
+    words = "; ".join(f"{name.lower()}: {meaning}" for name, meaning in MASK_NUMBERS.values())
+    return (
+        f"<p>How good the silhouettes of each camera are, judged without truth. {_text(words.capitalize())}. What is "
+        "too large is among the warnings, with what helps.</p>"
+        f'<div class="scroll"><table class="narrow"><thead><tr><th scope="col">Camera</th>{heads}</tr></thead>'
+        f"<tbody>{rows}</tbody></table></div>" + _figures(data, "silhouettes")
     )
 
 

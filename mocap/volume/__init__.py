@@ -1,22 +1,31 @@
-"""Silhouettes to voxels: carving, surface, visibility and colour, components."""
+"""Silhouettes to voxels: carving, surface, visibility and colour, components; and what masks say about cameras."""
 
-from mocap.volume.carve import Carver, carve_bruteforce, default_min_views
+from mocap.volume.camera_faults import CameraFault, find_camera_faults, usable_cameras
+from mocap.volume.carve import Carver, VoteVolume, carve_bruteforce, default_min_views, votes_bruteforce
 from mocap.volume.colour import colour_hull, visible_views
 from mocap.volume.components import connected_components
+from mocap.volume.consistency import ConsistencyMonitor, SilhouetteEvidence
 from mocap.volume.grid import choose_grid
 from mocap.volume.residuals import SilhouetteResiduals, silhouette_residuals
 from mocap.volume.surface import surface_map, surface_voxels
 
 __all__ = [
+    "CameraFault",
     "Carver",
+    "ConsistencyMonitor",
+    "SilhouetteEvidence",
     "SilhouetteResiduals",
+    "VoteVolume",
     "carve_bruteforce",
     "choose_grid",
     "colour_hull",
     "connected_components",
     "default_min_views",
+    "find_camera_faults",
     "silhouette_residuals",
     "surface_map",
     "surface_voxels",
+    "usable_cameras",
     "visible_views",
+    "votes_bruteforce",
 ]

@@ -1,8 +1,6 @@
-"""Compiled loops of the volume stage. Arrays and scalars only; each has a numpy twin in the tests.
+"""Compiled loops on voxel lists: surface, smoothing, visibility, colour, components, reprojection.
 
-Blocks of voxels are numbered in C order; the 64 voxels of a block of 4 are numbered (dx * 4 + dy) * 4 + dz.
-Camera sets are bit sets in int64. Gather indices are cast to uint64: a signed index would make the compiler
-emit a wrap-around test per access.
+Arrays and scalars only; each has a numpy twin in the tests.
 """
 
 from __future__ import annotations
@@ -11,210 +9,6 @@ import math
 
 import numpy as np
 from numba import njit
-
-DROP, KEEP, DESCEND = 0, 1, 2
-TIE_PX = 1e-7  # values this close below a rounding tie count as the tie; see carve.nearest_pixel
-
-
-@njit(cache=True, nogil=True)
-def pixels_of_points(points, p, width, height, out):
-    """Flat pixel index (v * width + u) of points (n, 3) m in one camera; -1 outside its view.
-
-    p : (22,) R row by row, t, fx, fy, cx, cy, k1 k2 p1 p2 k3 k4 k5 k6 ... see carve.camera_parameters.
-    """
-    fisheye = p[25] > 0.5
-    reach_limit = p[24]
-    for i in range(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        a = p[0] * x + p[1] * y + p[2] * z + p[9]
-        b = p[3] * x + p[4] * y + p[5] * z + p[10]
-        c = p[6] * x + p[7] * y + p[8] * z + p[11]
-        out[i] = -1
-        if not c > 1e-6:
-            continue
-        a /= c
-        b /= c
-        r2 = a * a + b * b
-        if fisheye:
-            r = math.sqrt(r2)
-            theta = math.atan(r)
-            if theta > reach_limit:
-                continue
-            t2 = theta * theta
-            bent = theta * (1 + t2 * (p[16] + t2 * (p[17] + t2 * (p[18] + t2 * p[19]))))
-            scale = bent / r if r > 1e-8 else 1.0
-            u = p[12] * a * scale + p[14]
-            v = p[13] * b * scale + p[15]
-        else:
-            if math.sqrt(r2) > reach_limit:
-                continue
-            radial = (1 + r2 * (p[16] + r2 * (p[17] + r2 * p[20]))) / (
-                1 + r2 * (p[21] + r2 * (p[22] + r2 * p[23]))
-            )
-            ab2 = 2 * a * b
-            u = p[12] * (a * radial + p[18] * ab2 + p[19] * (r2 + 2 * a * a)) + p[14]
-            v = p[13] * (b * radial + p[18] * (r2 + 2 * b * b) + p[19] * ab2) + p[15]
-        iu = math.floor(u + (0.5 + TIE_PX))
-        iv = math.floor(v + (0.5 + TIE_PX))
-        if iu >= 0 and iu < width and iv >= 0 and iv < height:
-            out[i] = int(iv) * width + int(iu)
-
-
-@njit(cache=True, nogil=True)
-def fill_blocks(pixels, bx, nby, nbz, camera, width, table, box, n_seen, sees_all, sees_some):
-    """Enter one camera's pixels of four x-planes (<= 4, ny, nz) int32 into the tables of the blocks.
-
-    table : (nb, C, 64) int32.  box : (nb, C, 4) int16 u0, u1, v0, v1 of the voxels seen.
-    n_seen : (nb, 64) uint8, added to.  sees_all, sees_some : (nb,) int64 bit sets.
-    """
-    planes, ny, nz = pixels.shape
-    bit = np.int64(1) << camera
-    for by in range(nby):
-        for bz in range(nbz):
-            b = (bx * nby + by) * nbz + bz
-            u0, u1, v0, v1 = 32767, -1, 32767, -1
-            n_real = 0
-            n_inside = 0
-            for dx in range(4):
-                for dy in range(4):
-                    for dz in range(4):
-                        j = (dx * 4 + dy) * 4 + dz
-                        iy = by * 4 + dy
-                        iz = bz * 4 + dz
-                        pixel = -1
-                        if dx < planes and iy < ny and iz < nz:
-                            n_real += 1
-                            pixel = pixels[dx, iy, iz]
-                        table[b, camera, j] = pixel
-                        if pixel >= 0:
-                            n_inside += 1
-                            n_seen[b, j] += 1
-                            v = pixel // width
-                            u = pixel - v * width
-                            u0, u1 = min(u0, u), max(u1, u)
-                            v0, v1 = min(v0, v), max(v1, v)
-            box[b, camera, 0] = u0
-            box[b, camera, 1] = u1
-            box[b, camera, 2] = v0
-            box[b, camera, 3] = v1
-            if n_inside > 0:
-                sees_some[b] |= bit
-            if n_inside == n_real:
-                sees_all[b] |= bit
-
-
-@njit(cache=True, nogil=True)
-def judge(box, integral, start, width, active, sees_all, tolerance, misses):
-    """Vote of the active cameras on one block: (decision, cameras still ambiguous, sure misses).
-
-    box : (C, 4).  integral : concatenated integral images; camera c begins at start[c], rows of width[c] + 1.
-    """
-    ambiguous = np.int64(0)
-    n_ambiguous = 0
-    for c in range(box.shape[0]):
-        if (active >> c) & 1 == 0:
-            continue
-        u0, u1, v0, v1 = np.int64(box[c, 0]), np.int64(box[c, 1]), np.int64(box[c, 2]), np.int64(box[c, 3])
-        row = width[c] + 1
-        top = start[c] + v0 * row
-        bottom = start[c] + (v1 + 1) * row
-        n = (
-            np.int64(integral[np.uint64(bottom + u1 + 1)])
-            - integral[np.uint64(bottom + u0)]
-            - integral[np.uint64(top + u1 + 1)]
-            + integral[np.uint64(top + u0)]
-        )
-        if n == 0 and (sees_all >> c) & 1:
-            misses += 1
-            if misses > tolerance:
-                return DROP, ambiguous, misses
-        elif n < (u1 - u0 + 1) * (v1 - v0 + 1):
-            ambiguous |= np.int64(1) << c
-            n_ambiguous += 1
-    if misses + n_ambiguous <= tolerance:
-        return KEEP, ambiguous, misses
-    return DESCEND, ambiguous, misses
-
-
-@njit(cache=True, nogil=True)
-def carve_blocks(
-    box4, all4, some4, low4, high4,
-    box8, all8, some8, low8, high8,
-    box16, all16, some16, low16, high16,
-    counts4, counts8, counts16, grid_shape, table, n_seen,
-    masks, mask_start, integral, integral_start, width, tolerance, min_views, out,
-):  # fmt: skip
-    """Occupied voxels by blocks of 16, 8 and 4; writes linear indices into out, returns their number.
-
-    A block is dropped when more than `tolerance` cameras that see all of it find no foreground in its pixel
-    box, kept when at most `tolerance` cameras could still vote background, else opened with the undecided
-    cameras.
-    """
-    ny, nz = grid_shape[1], grid_shape[2]
-    n_cameras = box4.shape[1]
-    n = 0
-    sums = np.zeros(64, dtype=np.uint8)
-    for b16 in range(box16.shape[0]):
-        if high16[b16] < min_views:
-            continue
-        d16, open16, m16 = judge(
-            box16[b16], integral, integral_start, width, some16[b16], all16[b16], tolerance, 0
-        )
-        if d16 == DROP:
-            continue
-        z16 = b16 % counts16[2]
-        y16 = (b16 // counts16[2]) % counts16[1]
-        x16 = b16 // (counts16[2] * counts16[1])
-        for x8 in range(2 * x16, min(2 * x16 + 2, counts8[0])):
-            for y8 in range(2 * y16, min(2 * y16 + 2, counts8[1])):
-                for z8 in range(2 * z16, min(2 * z16 + 2, counts8[2])):
-                    b8 = (x8 * counts8[1] + y8) * counts8[2] + z8
-                    if high8[b8] < min_views:
-                        continue
-                    d8, open8, m8 = judge(
-                        box8[b8],
-                        integral,
-                        integral_start,
-                        width,
-                        open16 & some8[b8],
-                        all8[b8],
-                        tolerance,
-                        m16,
-                    )
-                    if d8 == DROP:
-                        continue
-                    for x4 in range(2 * x8, min(2 * x8 + 2, counts4[0])):
-                        for y4 in range(2 * y8, min(2 * y8 + 2, counts4[1])):
-                            for z4 in range(2 * z8, min(2 * z8 + 2, counts4[2])):
-                                b = (x4 * counts4[1] + y4) * counts4[2] + z4
-                                if high4[b] < min_views:
-                                    continue
-                                d4, open4, m4 = judge(
-                                    box4[b], integral, integral_start, width,
-                                    open8 & some4[b], all4[b], tolerance, m8,
-                                )  # fmt: skip
-                                if d4 == DROP:
-                                    continue
-                                sums[:] = m4
-                                if d4 == DESCEND:
-                                    for c in range(n_cameras):
-                                        if (open4 >> c) & 1:
-                                            start = mask_start[c]
-                                            row = table[b, c]
-                                            for j in range(64):
-                                                # -1 reads the foreground sentinel before each mask
-                                                sums[j] += (
-                                                    np.uint8(1) - masks[np.uint64(start + np.int64(row[j]))]
-                                                )
-                                for j in range(64):
-                                    if sums[j] <= tolerance and n_seen[b, j] >= min_views:
-                                        out[n] = (
-                                            ((x4 * 4 + (j >> 4)) * ny + y4 * 4 + ((j >> 2) & 3)) * nz
-                                            + z4 * 4
-                                            + (j & 3)
-                                        )
-                                        n += 1
-    return n
 
 
 @njit(cache=True, nogil=True)
@@ -261,45 +55,62 @@ def surface_of_crop(subs, lower, crop, is_surface):
 
 
 @njit(cache=True, nogil=True)
-def splat_surface(subs, is_surface, lower, kernel, gain, field, packed):
-    """Gaussian-smoothed surface and occupancy in one byte; see surface.surface_map.
+def smooth_surface(subs, is_surface, lower, kernel, gain, corner, along_z, along_y, packed):
+    """Gaussian-smoothed surface and occupancy in one byte, axis by axis; see surface.surface_map.
 
-    kernel : (2 r + 1,) float32 one-dimensional weights.  field, packed : crop-shaped float32 and uint8 zeros.
+    subs : (n, 3).  lower : (3,) first voxel of `packed`, uint8 zeros.  kernel : (2 r + 1,) float32 weights.
+    corner : (3,) element of `packed` (it may lie outside) at which the work arrays along_z, along_y begin, float32
+    zeros; they must reach r beyond every element of `packed` that is wanted and that a surface voxel reaches.
     """
     nx, ny, nz = packed.shape
+    fx, fy, fz = along_z.shape
     r = kernel.shape[0] // 2
     for i in range(subs.shape[0]):
         x, y, z = subs[i, 0] - lower[0], subs[i, 1] - lower[1], subs[i, 2] - lower[2]
         if x > 0 and y > 0 and z > 0 and x < nx - 1 and y < ny - 1 and z < nz - 1:
             packed[x, y, z] = 128
-        if not is_surface[i]:
-            continue
-        if x <= -r or y <= -r or z <= -r or x >= nx - 1 + r or y >= ny - 1 + r or z >= nz - 1 + r:
-            continue
-        z0, z1 = max(z - r, 1), min(z + r, nz - 2)
-        for xx in range(max(x - r, 1), min(x + r, nx - 2) + 1):
-            wx = kernel[xx - x + r]
-            for yy in range(max(y - r, 1), min(y + r, ny - 2) + 1):
-                w = wx * kernel[yy - y + r]
-                for zz in range(z0, z1 + 1):
-                    field[xx, yy, zz] += w * kernel[zz - z + r]
-    flat_field = field.reshape(-1)
-    flat = packed.reshape(-1)
-    for i in range(flat.shape[0]):
-        level = np.int32(flat_field[i] * gain + np.float32(0.5))
-        flat[i] += np.uint8(min(level, np.int32(127)))
+        x, y, z = x - corner[0], y - corner[1], z - corner[2]
+        if is_surface[i] and x >= 0 and y >= 0 and x < fx and y < fy:
+            for zz in range(max(z - r, 0), min(z + r, fz - 1) + 1):
+                along_z[x, y, zz] += kernel[zz - z + r]
+    for x in range(fx):
+        for y in range(fy):
+            out = along_y[x, y]
+            for yy in range(max(y - r, 0), min(y + r, fy - 1) + 1):
+                w = kernel[yy - y + r]
+                row = along_z[x, yy]
+                for z in range(fz):
+                    out[z] += w * row[z]
+    total = np.empty(fz, dtype=np.float32)
+    z0, z1 = max(1 - corner[2], 0), min(nz - 1 - corner[2], fz)
+    for x in range(max(1 - corner[0], 0), min(nx - 1 - corner[0], fx)):
+        for y in range(max(1 - corner[1], 0), min(ny - 1 - corner[1], fy)):
+            total[:] = 0.0
+            for xx in range(max(x - r, 0), min(x + r, fx - 1) + 1):
+                w = kernel[xx - x + r]
+                row = along_y[xx, y]
+                for z in range(fz):
+                    total[z] += w * row[z]
+            line = packed[corner[0] + x, corner[1] + y]
+            for z in range(z0, z1):
+                level = np.int32(total[z] * gain + np.float32(0.5))
+                line[corner[2] + z] += np.uint8(min(level, np.int32(127)))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def line_of_sight(subs, pixels, crop, lower, eyes, skip, visible):
     """Walk voxel by voxel from voxel centres to the optical centres until something blocks or the crop ends.
 
-    subs : (n, 3).  pixels : (n, C), negative = not in that picture.  crop : occupancy of the bounding box.
-    eyes : (C, 3) optical centres in voxel units.  Voxels within `skip` (Chebyshev) of the start never block.
+    subs : (n, 3).  pixels : (n, C), negative = not in that picture.  crop : occupancy of the bounding box,
+    uint8, with a layer of 2 ("outside") around it, first element at voxel `lower`.  eyes : (C, 3) optical
+    centres in voxel units.  Voxels within `skip` (Chebyshev) of the start never block.  visible : (n, C) out.
     """
-    nx, ny, nz = crop.shape
+    _, ny, nz = crop.shape
+    flat = crop.reshape(-1)
+    jump_x, jump_y = np.int64(ny * nz), np.int64(nz)
     for i in range(subs.shape[0]):
         sx, sy, sz = subs[i, 0] - lower[0], subs[i, 1] - lower[1], subs[i, 2] - lower[2]
+        home = (sx * ny + sy) * nz + sz
         for c in range(eyes.shape[0]):
             visible[i, c] = False
             if pixels[i, c] < 0:
@@ -307,35 +118,88 @@ def line_of_sight(subs, pixels, crop, lower, eyes, skip, visible):
             dx = eyes[c, 0] - lower[0] - (sx + 0.5)
             dy = eyes[c, 1] - lower[1] - (sy + 0.5)
             dz = eyes[c, 2] - lower[2] - (sz + 0.5)
-            step_x, step_y, step_z = 1 if dx > 0 else -1, 1 if dy > 0 else -1, 1 if dz > 0 else -1
+            step_x = jump_x if dx > 0 else -jump_x
+            step_y = jump_y if dy > 0 else -jump_y
+            step_z = 1 if dz > 0 else -1
             gap_x = 1.0 / abs(dx) if dx != 0.0 else 1e30
             gap_y = 1.0 / abs(dy) if dy != 0.0 else 1e30
             gap_z = 1.0 / abs(dz) if dz != 0.0 else 1e30
             next_x, next_y, next_z = 0.5 * gap_x, 0.5 * gap_y, 0.5 * gap_z
-            x, y, z = sx, sy, sz
+            n_x = n_y = n_z = 0
+            at = home
             free = True
             while True:
                 if next_x <= next_y and next_x <= next_z:
                     if next_x >= 1.0:
                         break
-                    x += step_x
+                    at += step_x
+                    n_x += 1
                     next_x += gap_x
                 elif next_y <= next_z:
                     if next_y >= 1.0:
                         break
-                    y += step_y
+                    at += step_y
+                    n_y += 1
                     next_y += gap_y
                 else:
                     if next_z >= 1.0:
                         break
-                    z += step_z
+                    at += step_z
+                    n_z += 1
                     next_z += gap_z
-                if x < 0 or y < 0 or z < 0 or x >= nx or y >= ny or z >= nz:
+                cell = flat[np.uint64(at)]
+                if cell == 0:
+                    continue
+                if cell == 2:
                     break
-                if crop[x, y, z] and (abs(x - sx) > skip or abs(y - sy) > skip or abs(z - sz) > skip):
+                if n_x > skip or n_y > skip or n_z > skip:
                     free = False
                     break
             visible[i, c] = free
+
+
+@njit(cache=True, nogil=True)
+def nearest_in_picture(pixels, depth, width, half_at_1m, shrink, tolerance, buffer, visible):
+    """Depth buffer of one camera, and which voxels it does not hide.
+
+    pixels : (n,) v * width + u, negative = not in the picture.  depth : (n,) m.  half_at_1m : half the side, px, of
+    the square that a voxel covers at a depth of 1 m.  shrink : pixels of the picture per cell of the buffer.
+    tolerance : m by which a voxel may lie behind the nearest.  buffer : float32, infinite.  visible : (n,) out.
+    """
+    rows, columns = buffer.shape
+    for i in range(pixels.shape[0]):
+        if pixels[i] < 0:
+            continue
+        v = pixels[i] // width
+        u = pixels[i] - v * width
+        half = half_at_1m / depth[i]
+        u0 = max(math.floor((u - half) / shrink + 0.5), 0)
+        u1 = min(math.floor((u + half) / shrink + 0.5), columns - 1)
+        v0 = max(math.floor((v - half) / shrink + 0.5), 0)
+        v1 = min(math.floor((v + half) / shrink + 0.5), rows - 1)
+        d = np.float32(depth[i])
+        for y in range(v0, v1 + 1):
+            for x in range(u0, u1 + 1):
+                buffer[y, x] = min(buffer[y, x], d)
+    for i in range(pixels.shape[0]):
+        visible[i] = False
+        if pixels[i] >= 0:
+            v = pixels[i] // width
+            u = pixels[i] - v * width
+            y, x = min((v + shrink // 2) // shrink, rows - 1), min((u + shrink // 2) // shrink, columns - 1)
+            visible[i] = depth[i] <= buffer[y, x] + tolerance
+
+
+@njit(cache=True, nogil=True)
+def add_colours(image, pixels, visible, sums, count):
+    """Add the colour (h * w, 3) uint8 at pixels (n,) where visible (n,) to sums (n, 3) int32 and count (n,)."""
+    for i in range(pixels.shape[0]):
+        if visible[i]:
+            p = np.uint32(pixels[i])
+            count[i] += 1
+            sums[i, 0] += image[p, 0]
+            sums[i, 1] += image[p, 1]
+            sums[i, 2] += image[p, 2]
 
 
 @njit(cache=True, nogil=True)
@@ -412,3 +276,50 @@ def paint_boxes(uv, half, canvas):
         for v in range(v0, v1 + 1):
             for u in range(u0, u1 + 1):
                 canvas[v, u] = 1
+
+
+@njit(cache=True, nogil=True)
+def paint_left_out(pixels, is_miss, depth, width, half_at_1m, shrink, canvas):
+    """Silhouettes, per camera, of the hull that the other cameras leave, at reduced resolution.
+
+    pixels : (n, C) int32 v * width + u, negative = not in that picture.  is_miss : (n, C) bool, the camera votes
+    background.  depth : (n, C) m.  half_at_1m : (C,) half side, px, of the square that a voxel covers at 1 m.
+    shrink : picture pixels per cell.  canvas : (C, h, w) uint8 zeros, out: bit 0 where at most one other camera
+    votes background, bit 1 where none does.
+    """
+    n_cameras, rows, columns = canvas.shape
+    for i in range(pixels.shape[0]):
+        n_misses = 0
+        for c in range(n_cameras):
+            n_misses += is_miss[i, c]
+        for c in range(n_cameras):
+            n_others = n_misses - is_miss[i, c]
+            if pixels[i, c] < 0 or n_others > 1:
+                continue
+            value = np.uint8(3 if n_others == 0 else 1)
+            v = pixels[i, c] // width[c]
+            u = pixels[i, c] - v * width[c]
+            half = half_at_1m[c] / depth[i, c]
+            u0 = max(math.floor((u - half) / shrink), 0)
+            u1 = min(math.floor((u + half) / shrink), columns - 1)
+            v0 = max(math.floor((v - half) / shrink), 0)
+            v1 = min(math.floor((v + half) / shrink), rows - 1)
+            for y in range(v0, v1 + 1):
+                for x in range(u0, u1 + 1):
+                    canvas[c, y, x] |= value
+
+
+@njit(cache=True, nogil=True)
+def count_common(mask, silhouette, rect, counts):
+    """Cells of a mask (h, w) uint8 in [0, 1] that bits 0 and 1 of a silhouette cover, into counts (2,).
+
+    rect : u0, u1, v0, v1 inclusive, holds the mask.
+    """
+    one, two = 0, 0
+    for y in range(rect[2], rect[3] + 1):
+        for x in range(rect[0], rect[1] + 1):
+            both = mask[y, x] * silhouette[y, x]
+            one += both & 1
+            two += both >> 1
+    counts[0] = one
+    counts[1] = two

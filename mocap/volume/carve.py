@@ -1,13 +1,21 @@
 """Shape from silhouette: which voxels project into the foreground of the cameras that see them.
 
-A camera that does not have a voxel in its picture does not vote on it. A voxel is occupied when at least
-`min_views` cameras see it and at most `n_faulty_views` of those vote background.
+A voxel is occupied when at least `min_views` cameras have it in their picture and at most `n_faulty_views` cameras
+vote background. What a camera does that does not have the voxel in its picture is the policy `outside`:
+
+abstain     it has no vote (the default: a head that leaves one picture is kept by the others);
+background  it votes background, so that a voxel outside a picture needs tolerance, as outside a room's edge.
+
+The soft volume counts foreground votes instead of deciding.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -15,11 +23,12 @@ from numpy.typing import NDArray
 
 from mocap.data import Camera, CameraRig, VoxelGrid
 from mocap.geometry.projection import max_normalised_radius
-from mocap.volume import _kernels
+from mocap.volume import _carve_kernels
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Voxels = NDArray[np.int32]
+Outside = Literal["abstain", "background"]
 
 MAX_TABLE_MB = 700
 MAX_CAMERAS = 62  # camera sets are bits of a signed 64-bit number
@@ -40,7 +49,7 @@ def nearest_pixel(uv: Array, size: tuple[int, int]) -> NDArray[np.int64]:
     """
     width, height = size
     with np.errstate(invalid="ignore"):
-        rounded = np.floor(uv + (0.5 + _kernels.TIE_PX))
+        rounded = np.floor(uv + (0.5 + _carve_kernels.TIE_PX))
         inside = (
             (rounded[:, 0] >= 0) & (rounded[:, 0] < width) & (rounded[:, 1] >= 0) & (rounded[:, 1] < height)
         )
@@ -55,7 +64,7 @@ def camera_parameters(camera: Camera) -> Array | None:
     n_compiled = 4 if camera.is_fisheye else 8
     if np.any(camera.dist[n_compiled:] != 0):
         return None
-    p = np.zeros(26)
+    p = np.zeros(_carve_kernels.N_PARAMETERS)
     p[:9] = camera.R.ravel()
     p[9:12] = camera.t
     p[12:16] = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
@@ -71,13 +80,19 @@ def pixels_of_points(camera: Camera, points_world: Array) -> NDArray[np.int32]:
 
     points_world : (n, 3) m, world. Returns (n,) int32. Same as nearest_pixel(camera.project(...)), faster.
     """
+    out = np.empty(len(points_world), dtype=np.int32)
+    _project(camera, np.ascontiguousarray(np.asarray(points_world, dtype=np.float64).T), out)
+    return out
+
+
+def _project(camera: Camera, xyz: Array, out: NDArray[np.int32]) -> None:
+    """Pixels of points xyz (3, n) m, world, into out (n,)."""
     parameters = camera_parameters(camera)
     if parameters is None:
-        return nearest_pixel(camera.project(points_world)[0], camera.size).astype(np.int32)
-    out = np.empty(len(points_world), dtype=np.int32)
-    points = np.ascontiguousarray(points_world, dtype=np.float64)
-    _kernels.pixels_of_points(points, parameters, camera.size[0], camera.size[1], out)
-    return out
+        out[:] = nearest_pixel(camera.project(xyz.T)[0], camera.size)
+        return
+    kernel = _carve_kernels.fisheye_pixels if camera.is_fisheye else _carve_kernels.pinhole_pixels
+    kernel(xyz[0], xyz[1], xyz[2], parameters, camera.size[0], camera.size[1], out)
 
 
 def check_masks(rig: CameraRig, masks: Sequence[Mask]) -> None:
@@ -98,7 +113,7 @@ def _kind(value: object) -> str:
     return f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
 
 
-def _check_votes(n_cameras: int, n_faulty_views: int, min_views: int | None) -> int:
+def _check_votes(n_cameras: int, n_faulty_views: int, min_views: int | None, outside: str) -> int:
     if not 0 <= n_faulty_views < n_cameras:
         raise ValueError(
             f"n_faulty_views: expected 0 .. {n_cameras - 1} for {n_cameras} cameras, got {n_faulty_views}"
@@ -106,7 +121,32 @@ def _check_votes(n_cameras: int, n_faulty_views: int, min_views: int | None) -> 
     needed = default_min_views(n_cameras) if min_views is None else min_views
     if not 1 <= needed <= n_cameras:
         raise ValueError(f"min_views: expected 1 .. {n_cameras} for {n_cameras} cameras, got {needed}")
+    if outside not in ("abstain", "background"):
+        raise ValueError(f"outside: expected abstain or background, got {outside!r}")
     return needed
+
+
+def _check_min_votes(n_cameras: int, min_votes: int) -> None:
+    if not 1 <= min_votes <= n_cameras:
+        raise ValueError(f"min_votes: expected 1 .. {n_cameras} for {n_cameras} cameras, got {min_votes}")
+
+
+def _votes_of_planes(
+    rig: CameraRig, grid: VoxelGrid, masks: Sequence[Mask]
+) -> Iterator[tuple[Voxels, NDArray[np.int64], NDArray[np.int64]]]:
+    """Per plane of constant x: voxels, cameras that see each, and cameras that see it as foreground."""
+    per_plane = grid.shape[1] * grid.shape[2]
+    for ix in range(grid.shape[0]):
+        voxels = np.arange(ix * per_plane, (ix + 1) * per_plane, dtype=np.int32)
+        centers = grid.centers(voxels)
+        n_seen = np.zeros(per_plane, dtype=np.int64)
+        n_foreground = np.zeros(per_plane, dtype=np.int64)
+        for camera, mask in zip(rig, masks, strict=True):
+            pixels = nearest_pixel(camera.project(centers)[0], camera.size)
+            seen = pixels >= 0
+            n_seen += seen
+            n_foreground += seen & mask.ravel()[np.maximum(pixels, 0)]
+        yield voxels, n_seen, n_foreground
 
 
 def carve_bruteforce(
@@ -116,36 +156,68 @@ def carve_bruteforce(
     *,
     n_faulty_views: int,
     min_views: int | None = None,
+    outside: Outside = "abstain",
 ) -> Voxels:
     """Occupied voxels by projecting every voxel centre into every mask: the definition, slow.
 
-    masks : one (H, W) bool per camera, in rig order.  n_faulty_views : seeing cameras that may vote
-    background.
-    min_views : cameras that must see the voxel; default_min_views if None.
+    masks : one (H, W) bool per camera, in rig order.  n_faulty_views : cameras that may vote background.
+    min_views : cameras that must see the voxel; default_min_views if None.  outside : "abstain" = a camera
+    that does not see the voxel has no vote, "background" = it votes background.
     Returns (N,) int32 linear indices, ascending; empty masks give N = 0.
     Raises ValueError or TypeError for masks that do not fit the rig or numbers out of range.
     Source: CF 2.2.4 (shape from silhouette, with tolerance to faulty segmentations).
     """
     check_masks(rig, masks)
-    needed = _check_votes(len(rig), n_faulty_views, min_views)
-    per_plane = grid.shape[1] * grid.shape[2]
+    needed = _check_votes(len(rig), n_faulty_views, min_views, outside)
     found = []
-    for ix in range(grid.shape[0]):
-        voxels = np.arange(ix * per_plane, (ix + 1) * per_plane, dtype=np.int32)
-        centers = grid.centers(voxels)
-        n_seen = np.zeros(per_plane, dtype=np.int64)
-        n_background = np.zeros(per_plane, dtype=np.int64)
-        for camera, mask in zip(rig, masks, strict=True):
-            pixels = nearest_pixel(camera.project(centers)[0], camera.size)
-            seen = pixels >= 0
-            n_seen += seen
-            n_background += seen & ~mask.ravel()[np.maximum(pixels, 0)]
-        found.append(voxels[(n_seen >= needed) & (n_background <= n_faulty_views)])
+    for voxels, n_seen, n_foreground in _votes_of_planes(rig, grid, masks):
+        n_voters = n_seen if outside == "abstain" else len(rig)
+        found.append(voxels[(n_seen >= needed) & (n_voters - n_foreground <= n_faulty_views)])
     return np.concatenate(found)
 
 
+@dataclass(frozen=True, eq=False)
+class VoteVolume:
+    """Soft volume: how many cameras vote foreground, for the voxels with at least a given number of votes.
+
+    voxels : (N,) int32 linear indices, ascending.  n_votes, n_seen : (N,) uint8, cameras that see the voxel as
+    foreground, and that see it at all.
+    """
+
+    grid: VoxelGrid
+    voxels: Voxels
+    n_votes: NDArray[np.uint8]
+    n_seen: NDArray[np.uint8]
+
+    @property
+    def share(self) -> NDArray[np.float32]:
+        """Votes over views, (N,) in (0, 1]."""
+        return np.divide(self.n_votes, self.n_seen, dtype=np.float32)
+
+    def at_least(self, share: float, min_views: int) -> Voxels:
+        """Voxels that this share of the cameras that see them calls foreground; at least min_views see them."""
+        return self.voxels[(self.n_votes >= share * self.n_seen) & (self.n_seen >= min_views)]
+
+
+def votes_bruteforce(
+    rig: CameraRig, grid: VoxelGrid, masks: Sequence[Mask], *, min_votes: int = 1
+) -> VoteVolume:
+    """Voxels with at least min_votes foreground votes, by projecting every centre: the definition, slow.
+
+    masks : one (H, W) bool per camera, in rig order. Empty masks give no voxels.
+    Raises ValueError or TypeError for masks that do not fit the rig or a min_votes out of range.
+    """
+    check_masks(rig, masks)
+    _check_min_votes(len(rig), min_votes)
+    parts = []
+    for voxels, n_seen, n_foreground in _votes_of_planes(rig, grid, masks):
+        keep = n_foreground >= min_votes
+        parts.append((voxels[keep], n_foreground[keep].astype(np.uint8), n_seen[keep].astype(np.uint8)))
+    return VoteVolume(grid, *(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
 class _Level:
-    """Blocks of one size: pixel boxes (nb, C, 4), who sees them, range of the number of views per voxel."""
+    """Blocks of one size: pixel boxes (nb, C, 4), who sees all or some of each, most views of one voxel."""
 
     def __init__(
         self,
@@ -153,15 +225,10 @@ class _Level:
         box: NDArray[np.int16],
         sees_all: NDArray[np.int64],
         sees_some: NDArray[np.int64],
-        low: NDArray[np.uint8],
         high: NDArray[np.uint8],
     ) -> None:
         self.counts = counts
-        self.box, self.sees_all, self.sees_some = box, sees_all, sees_some
-        self.low, self.high = low, high
-
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        return self.box, self.sees_all, self.sees_some, self.low, self.high
+        self.box, self.sees_all, self.sees_some, self.high = box, sees_all, sees_some, high
 
     def doubled(self) -> _Level:
         """Blocks of twice the side."""
@@ -187,117 +254,238 @@ class _Level:
             box,
             gather(self.sees_all, np.bitwise_and, -1),
             gather(self.sees_some, np.bitwise_or, 0),
-            gather(self.low, np.minimum, 255),
             gather(self.high, np.maximum, 0),
         )
 
 
-class Carver:
-    """Tables of one rig and one grid, built once, with which every frame is carved in milliseconds.
+class _Pool:
+    """Exact tables of the blocks of 16 that have been looked into, as many as fit."""
 
-    The result equals carve_bruteforce voxel by voxel. Not thread-safe: it holds work buffers; threads need
-    one each.
-    Raises ValueError when the tables would exceed 700 MB or the rig has more than 62 cameras.
+    def __init__(self, capacity: int, n_cameras: int) -> None:
+        # Untouched pages of these buffers cost nothing.
+        self.capacity, self.n_used = capacity, 0
+        self.table = np.empty((capacity, 64, n_cameras, 64), dtype=np.int32)
+        self.n_seen = np.empty((capacity, 64, 64), dtype=np.uint8)
+        self.box4, self.all4, self.some4, self.high4 = _block_arrays(capacity, 64, n_cameras)
+        self.box8, self.all8, self.some8, self.high8 = _block_arrays(capacity, 8, n_cameras)
+
+
+def _block_arrays(capacity: int, n: int, n_cameras: int) -> tuple[np.ndarray, ...]:
+    return (
+        np.empty((capacity, n, n_cameras, 4), dtype=np.int16),
+        np.empty((capacity, n), dtype=np.int64),
+        np.empty((capacity, n), dtype=np.int64),
+        np.empty((capacity, n), dtype=np.uint8),
+    )
+
+
+def _pool_bytes(n_cameras: int) -> int:
+    """Bytes of the tables of one block of 16."""
+    return 64 * (64 * (4 * n_cameras + 1)) + 72 * (8 * n_cameras + 17)
+
+
+class Carver:
+    """Look-up tables of one rig and one grid, with which every frame is carved in milliseconds.
+
+    The result equals carve_bruteforce voxel by voxel. For blocks of 16 voxels a side, bounds on the pixels are
+    computed at once by interval arithmetic; exact pixels of a block's voxels are computed when a silhouette
+    first falls on it, and kept. So start-up is quick, and memory grows with the space that is visited, up to
+    max_table_mb (10^6 bytes); beyond it tables are discarded and computed again, which costs time only.
+    Not thread-safe: it holds work buffers; threads need one each.
+    Raises ValueError when the rig has more than 62 cameras or pictures of more than 32767 pixels a side.
     """
 
-    def __init__(self, rig: CameraRig, grid: VoxelGrid) -> None:
-        self.rig, self.grid = rig, grid
-        n_cameras = len(rig)
-        nx, ny, nz = (-(-n // 4) for n in grid.shape)
-        needed_mb = self.table_megabytes(n_cameras, grid)
-        if needed_mb > MAX_TABLE_MB:
-            raise ValueError(
-                f"carving tables for {grid.shape[0]} x {grid.shape[1]} x {grid.shape[2]} = {grid.n_voxels:,} "
-                f"voxels and {n_cameras} cameras need {needed_mb:.0f} MB, more than {MAX_TABLE_MB} MB; "
-                "use larger voxels or smaller room bounds"
-            )
-        if n_cameras > MAX_CAMERAS:
-            raise ValueError(f"a Carver takes at most {MAX_CAMERAS} cameras, got {n_cameras}")
+    def __init__(self, rig: CameraRig, grid: VoxelGrid, *, max_table_mb: float = MAX_TABLE_MB) -> None:
+        if len(rig) > MAX_CAMERAS:
+            raise ValueError(f"a Carver takes at most {MAX_CAMERAS} cameras, got {len(rig)}")
         if max(max(c.size) for c in rig) > 32767:
             raise ValueError("a Carver takes pictures of at most 32767 pixels a side")
-        n_blocks = nx * ny * nz
-        self._table = np.empty((n_blocks, n_cameras, 64), dtype=np.int32)
-        self._n_seen = np.zeros((n_blocks, 64), dtype=np.uint8)
-        self._levels = self._fill(nx, ny, nz)
-        self._width = np.array([c.size[0] for c in rig], dtype=np.int64)
+        self.rig, self.grid = rig, grid
+        self._large = self._enclose()
+        self._huge = self._large.doubled().doubled()
+        n_blocks = len(self._large.high)
+        self._slot = np.full(n_blocks, -1, dtype=np.int32)
+        affordable = int(max_table_mb * 1e6 / _pool_bytes(len(rig)))
+        self._pool = _Pool(max(1, min(n_blocks, affordable)), len(rig))
         self._prepare_images()
-        # Untouched pages of this buffer cost nothing.
-        self._found = np.empty(grid.n_voxels, dtype=np.int32)
 
-    @staticmethod
-    def table_megabytes(n_cameras: int, grid: VoxelGrid) -> float:
-        """Memory of the tables of a Carver, MB (10^6 bytes), before they are built."""
-        n_blocks = int(np.prod([-(-n // 4) for n in grid.shape]))
-        return n_blocks * (64 * (4 * n_cameras + 1) + 10 * n_cameras + 24) / 1e6
+    @property
+    def table_mb(self) -> float:
+        """Memory of the exact tables so far, MB (10^6 bytes)."""
+        return self._pool.n_used * _pool_bytes(len(self.rig)) / 1e6
 
-    def _fill(self, nx: int, ny: int, nz: int) -> tuple[_Level, _Level, _Level]:
-        n_blocks = nx * ny * nz
-        box = np.empty((n_blocks, len(self.rig), 4), dtype=np.int16)
-        sees_all = np.zeros(n_blocks, dtype=np.int64)
-        sees_some = np.zeros(n_blocks, dtype=np.int64)
-        per_plane = self.grid.shape[1] * self.grid.shape[2]
-        for bx in range(nx):
-            planes = min(4, self.grid.shape[0] - 4 * bx)
-            first = 4 * bx * per_plane
-            centers = self.grid.centers(np.arange(first, first + planes * per_plane, dtype=np.int32))
+    def _enclose(self) -> _Level:
+        """Blocks of 16 with bounds that hold for their voxels without looking at each."""
+        counts = tuple(-(-n // 16) for n in self.grid.shape)
+        subs = np.stack(np.unravel_index(np.arange(math.prod(counts)), counts), axis=1) * 16
+        last = np.minimum(subs + 15, np.array(self.grid.shape) - 1)
+        lower = self.grid.origin + (subs + 0.5) * self.grid.voxel_size_m
+        upper = self.grid.origin + (last + 0.5) * self.grid.voxel_size_m
+        box = np.empty((len(subs), len(self.rig), 4), dtype=np.int16)
+        sees_all = np.zeros(len(subs), dtype=np.int64)
+        sees_some = np.zeros(len(subs), dtype=np.int64)
+        for c, camera in enumerate(self.rig):
+            width, height = camera.size
+            parameters = camera_parameters(camera)
+            if parameters is None:
+                box[:, c] = 0, width - 1, 0, height - 1
+                sees_some |= 1 << c
+                continue
+            _carve_kernels.enclose_blocks(
+                lower, upper, parameters, width, height, c, box, sees_all, sees_some
+            )
+        high = np.bitwise_count(sees_some).astype(np.uint8)
+        return _Level((counts[0], counts[1], counts[2]), box, sees_all, sees_some, high)
+
+    def _batches(self, blocks: NDArray[np.int32]) -> Iterator[NDArray[np.int32]]:
+        """The blocks of 16 in groups whose tables are all there when a group is handed out."""
+        pool = self._pool
+        missing = blocks[self._slot[blocks] < 0]
+        if pool.n_used + len(missing) <= pool.capacity:
+            self._build(missing)
+            yield blocks
+            return
+        for first in range(0, len(blocks), pool.capacity):
+            self._slot[:] = -1
+            pool.n_used = 0
+            group = blocks[first : first + pool.capacity]
+            self._build(group)
+            yield group
+
+    def _build(self, blocks: NDArray[np.int32]) -> None:
+        """Exact tables of blocks of 16 that have none; their bounds are replaced by the exact ones."""
+        pool, large = self._pool, self._large
+        counts, shape = np.array(large.counts), np.array(self.grid.shape)
+        xyz = np.empty((3, 4096))
+        is_real = np.empty(4096, dtype=np.uint8)
+        pixels = np.empty(4096, dtype=np.int32)
+        for block in blocks:
+            t = pool.n_used
+            pool.n_used += 1
+            _carve_kernels.block_centers(
+                block, counts, shape, self.grid.origin, self.grid.voxel_size_m, *xyz, is_real
+            )
+            pool.n_seen[t] = 0
+            pool.all4[t] = 0
+            pool.some4[t] = 0
             for c, camera in enumerate(self.rig):
-                pixels = pixels_of_points(camera, centers).reshape(planes, *self.grid.shape[1:])
-                _kernels.fill_blocks(
-                    pixels, bx, ny, nz, c, camera.size[0],
-                    self._table, box, self._n_seen, sees_all, sees_some,
+                _project(camera, xyz, pixels)
+                _carve_kernels.enter_pixels(
+                    pixels, is_real, c, camera.size[0],
+                    pool.table[t], pool.n_seen[t], pool.box4[t], pool.all4[t], pool.some4[t],
                 )  # fmt: skip
-        # Padding voxels count 0 views: they can never be occupied, but make `low` 0 in the last blocks.
-        low, high = self._n_seen.min(axis=1), self._n_seen.max(axis=1)
-        small = _Level((nx, ny, nz), box, sees_all, sees_some, low, high)
-        middle = small.doubled()
-        return small, middle, middle.doubled()
+            large.sees_all[block], large.sees_some[block], large.high[block] = _carve_kernels.sum_up_block(
+                pool.n_seen[t], pool.box4[t], pool.all4[t], pool.some4[t], pool.high4[t],
+                pool.box8[t], pool.all8[t], pool.some8[t], pool.high8[t], large.box[block],
+            )  # fmt: skip
+            self._slot[block] = t
 
     def _prepare_images(self) -> None:
+        widths = np.array([c.size[0] for c in self.rig], dtype=np.int64)
         heights = np.array([c.size[1] for c in self.rig], dtype=np.int64)
-        # One foreground pixel stands before each mask: index -1, "not seen", reads it and casts no vote.
-        self._mask_start = np.concatenate([[0], np.cumsum(self._width * heights + 1)])[:-1] + 1
-        self._masks = np.ones(int(np.sum(self._width * heights + 1)), dtype=np.uint8)
-        sizes = (self._width + 1) * (heights + 1)
+        # One pixel stands before each mask: index -1, "not seen", reads it.
+        self._mask_start = np.concatenate([[0], np.cumsum(widths * heights + 1)])[:-1] + 1
+        self._masks = np.zeros(int(np.sum(widths * heights + 1)), dtype=np.uint8)
+        sizes = (widths + 1) * (heights + 1)
         self._integral_start = np.concatenate([[0], np.cumsum(sizes)])[:-1].astype(np.int64)
         self._integral = np.zeros(int(sizes.sum()), dtype=np.int32)
-        self._mask_views, self._integral_views = [], []
-        for c, camera in enumerate(self.rig):
-            w, h = camera.size
-            m, i = int(self._mask_start[c]), int(self._integral_start[c])
-            self._mask_views.append(self._masks[m : m + w * h].reshape(h, w))
-            self._integral_views.append(self._integral[i : i + (w + 1) * (h + 1)].reshape(h + 1, w + 1))
+        # Rectangle of each mask's foreground, u0, u1, v0, v1 inclusive: only it is copied and integrated.
+        self._rect = np.tile(np.array([0, -1, 0, -1], dtype=np.int64), (len(self.rig), 1))
 
-    def carve(self, masks: Sequence[Mask], *, n_faulty_views: int, min_views: int | None = None) -> Voxels:
+    def _load(self, masks: Sequence[Mask], unseen: int) -> None:
+        """Copy the masks and integrate them.  unseen : what a camera votes that does not see a voxel."""
+        check_masks(self.rig, masks)
+        self._masks[self._mask_start - 1] = unseen
+        for c, (camera, mask) in enumerate(zip(self.rig, masks, strict=True)):
+            width, height = camera.size
+            begin = int(self._mask_start[c])
+            own = self._masks[begin : begin + width * height].reshape(height, width)
+            u0, u1, v0, v1 = self._rect[c]
+            own[v0 : v1 + 1, u0 : u1 + 1] = 0
+            bits = np.ascontiguousarray(mask).view(np.uint8)
+            u0, v0, w, h = cv2.boundingRect(bits)
+            self._rect[c] = u0, u0 + w - 1, v0, v0 + h - 1
+            if w == 0:
+                continue
+            part = own[v0 : v0 + h, u0 : u0 + w]
+            part[...] = bits[v0 : v0 + h, u0 : u0 + w]
+            begin = int(self._integral_start[c])
+            sums = self._integral[begin : begin + (w + 1) * (h + 1)].reshape(h + 1, w + 1)
+            cv2.integral(part, sums, cv2.CV_32S)
+
+    def carve(
+        self,
+        masks: Sequence[Mask],
+        *,
+        n_faulty_views: int,
+        min_views: int | None = None,
+        outside: Outside = "abstain",
+    ) -> Voxels:
         """Occupied voxels of one frame; arguments, result and errors as of carve_bruteforce.
 
         Source: CF 2.2.4; coarse to fine after the octree idea quoted there, on integral images.
         """
-        check_masks(self.rig, masks)
-        needed = _check_votes(len(self.rig), n_faulty_views, min_views)
-        for mask, own, integral in zip(masks, self._mask_views, self._integral_views, strict=True):
-            own[...] = mask
-            cv2.integral(own, integral, cv2.CV_32S)
-        small, middle, large = self._levels
-        n = _kernels.carve_blocks(
-            *small.arrays(), *middle.arrays(), *large.arrays(),
-            np.array(small.counts), np.array(middle.counts), np.array(large.counts),
-            np.array(self.grid.shape), self._table, self._n_seen, self._masks, self._mask_start,
-            self._integral, self._integral_start, self._width, n_faulty_views, needed, self._found,
+        needed = _check_votes(len(self.rig), n_faulty_views, min_views, outside)
+        strict = outside == "background"
+        self._load(masks, 0 if strict else 1)
+        large, huge, pool = self._large, self._huge, self._pool
+        images = (self._integral, self._integral_start, self._rect)
+        blocks = np.empty(len(large.high), dtype=np.int32)
+        n = _carve_kernels.survey(
+            huge.box, huge.sees_all, huge.sees_some, huge.high, np.array(huge.counts),
+            large.box, large.sees_all, large.sees_some, large.high, np.array(large.counts),
+            *images, strict, n_faulty_views, needed, blocks,
         )  # fmt: skip
-        return np.sort(self._found[:n])
+        found = []
+        for group in self._batches(blocks[:n]):
+            out = np.empty(4096 * len(group), dtype=np.int32)
+            n = _carve_kernels.carve_blocks(
+                group, self._slot, large.box, large.sees_all, large.sees_some, large.high,
+                np.array(large.counts), np.array(self.grid.shape),
+                pool.box8, pool.all8, pool.some8, pool.high8, pool.box4, pool.all4, pool.some4, pool.high4,
+                pool.table, pool.n_seen, self._masks, self._mask_start, *images,
+                strict, n_faulty_views, needed, out,
+            )  # fmt: skip
+            found.append(out[:n].copy())
+        return np.sort(np.concatenate(found)) if found else np.zeros(0, dtype=np.int32)
+
+    def votes(self, masks: Sequence[Mask], *, min_votes: int = 1) -> VoteVolume:
+        """Soft volume of one frame; arguments, result and errors as of votes_bruteforce.
+
+        Blocks in which fewer than min_votes cameras find any foreground are skipped. The cost grows with the
+        voxels that remain: with min_votes = 1 those are all the viewing cones.
+        """
+        _check_min_votes(len(self.rig), min_votes)
+        self._load(masks, 0)
+        large, huge, pool = self._large, self._huge, self._pool
+        images = (self._integral, self._integral_start, self._rect)
+        counts = np.array(large.counts)
+        blocks = np.empty(len(large.high), dtype=np.int32)
+        n = _carve_kernels.survey_votes(
+            huge.box, huge.sees_some, np.array(huge.counts), large.box, large.sees_some, counts,
+            *images, min_votes, blocks,
+        )  # fmt: skip
+        parts = []
+        for group in self._batches(blocks[:n]):
+            out = np.empty(4096 * len(group), dtype=np.int32)
+            n_votes = np.empty(len(out), dtype=np.uint8)
+            n_seen = np.empty(len(out), dtype=np.uint8)
+            n = _carve_kernels.vote_blocks(
+                group, self._slot, large.box, large.sees_some, counts, np.array(self.grid.shape),
+                pool.box8, pool.some8, pool.box4, pool.some4, pool.table, pool.n_seen,
+                self._masks, self._mask_start, *images, min_votes, out, n_votes, n_seen,
+            )  # fmt: skip
+            parts.append((out[:n].copy(), n_votes[:n].copy(), n_seen[:n].copy()))
+        none = (np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.uint8), np.zeros(0, dtype=np.uint8))
+        voxels, n_votes, n_seen = (np.concatenate(column) for column in zip(none, *parts, strict=True))
+        order = np.argsort(voxels)
+        return VoteVolume(self.grid, voxels[order], n_votes[order], n_seen[order])
 
     def pixels(self, voxels: Voxels) -> NDArray[np.int32]:
         """Flat pixel index of each voxel in each camera, (N, C) int32; -1 outside the view."""
-        block, within = self._address(voxels)
-        return self._table[block, :, within]
+        centers = self.grid.centers(voxels)
+        return np.column_stack([pixels_of_points(camera, centers) for camera in self.rig])
 
     def n_seen(self, voxels: Voxels) -> NDArray[np.uint8]:
         """How many cameras have each voxel in their picture, (N,) uint8."""
-        block, within = self._address(voxels)
-        return self._n_seen[block, within]
-
-    def _address(self, voxels: Voxels) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        s = self.grid.subscripts(voxels).astype(np.int64)
-        b, d = s >> 2, s & 3
-        _, ny, nz = self._levels[0].counts
-        return (b[:, 0] * ny + b[:, 1]) * nz + b[:, 2], (d[:, 0] * 4 + d[:, 1]) * 4 + d[:, 2]
+        return np.count_nonzero(self.pixels(voxels) >= 0, axis=1).astype(np.uint8)

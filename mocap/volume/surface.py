@@ -81,10 +81,14 @@ def surface_map(
     packed = np.zeros(tuple(upper - lower), dtype=np.uint8)
     if len(v):
         kernel = gaussian_weights(sigma_voxels)
-        field = np.zeros(packed.shape, dtype=np.float32)
-        subs, _, _ = _kernels.subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
-        gain = np.float32(SURFACE_LEVELS / kernel.max())
-        _kernels.splat_surface(
-            subs, np.ascontiguousarray(is_surface, dtype=np.bool_), lower, kernel, gain, field, packed
-        )
+        subs, first, last = _kernels.subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
+        # Work arrays only where the surface reaches; the crop may be far larger.
+        r = len(kernel) // 2
+        corner = np.maximum(first - lower - r, -r)
+        extent = np.minimum(last - lower + r, np.array(packed.shape) + r) - corner
+        if np.all(extent > 0):
+            work = np.zeros((2, *extent), dtype=np.float32)
+            gain = np.float32(SURFACE_LEVELS / kernel.max())
+            outer = np.ascontiguousarray(is_surface, dtype=np.bool_)
+            _kernels.smooth_surface(subs, outer, lower, kernel, gain, corner, work[0], work[1], packed)
     return packed

@@ -10,10 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 pytest.importorskip("embreex", reason="rendering needs the extra synth (embreex)")
 
-from data_synth import preview_sheet, synthesise
+from data_synth import preview_sheet, scene_sheet, synthesise
 from data_synth.render import CameraView, make_sensor
 from data_synth.scene import Scene, scene_from_dict
 from data_synth.session import World, build_world
@@ -216,7 +217,46 @@ def test_a_folder_that_is_no_session_is_left_alone(tmp_path: Path) -> None:
 def test_preview_sheet_has_a_row_per_camera(session: Path, tmp_path: Path) -> None:
     path = preview_sheet(session, tmp_path / "sheet.png", n_moments=2, width_px=64)
     picture = cv2.imread(str(path))
-    assert picture.shape == (C * 48, 3 * 64, 3)
+    assert picture.shape == (18 + C * 48, 3 * 64, 3)  # a line of frame numbers above
+
+
+def test_a_scene_sheet_shows_what_the_session_would(session: Path, tmp_path: Path) -> None:
+    scene = _scene(picture={"container": "png"})
+    path = scene_sheet(scene, tmp_path / "sheet.png", moments=[1, 4], cameras=["cam_1"], width_px=W)
+    shown = cv2.imread(str(path))[18:]
+    assert shown.shape == (H, 2 * W, 3)
+    clip = list(iter_clip(session / "videos" / "cam_1.mp4"))
+    below = slice(20, None)  # without the camera's name
+    for k, frame in enumerate((1, 4)):
+        rendered = shown[below, k * W : (k + 1) * W, ::-1].astype(float)
+        assert np.abs(rendered - clip[frame][below]).mean() < 6  # the video is compressed
+
+
+def test_a_picture_name_without_suffix_is_refused(session: Path, tmp_path: Path) -> None:
+    with pytest.raises(MocapError, match="cannot be written"):
+        preview_sheet(session, tmp_path / "sheet", n_moments=1, width_px=64)
+
+
+def test_points_deeper_than_half_a_pixel_diagonal_are_in_every_silhouette(session: Path) -> None:
+    """The ray of the nearest pixel passes within half a pixel diagonal of a point: a deeper one is surely hit."""
+    rig = open_session(session).rig
+    data = np.load(session / "truth" / "voxels.npz")
+    grid = VoxelGrid(data["origin_m"], tuple(data["shape"]), float(data["voxel_size_m"]))
+    voxels = data["voxels"][data["offsets"][2] : data["offsets"][3]]
+    solid = np.zeros(grid.shape, bool)
+    solid.ravel()[voxels] = True
+    # To the next voxel outside, less the half diagonal of a voxel, is at most the distance to the skin.
+    depth = (distance_transform_edt(solid) - np.sqrt(3) / 2).ravel()[voxels] * grid.voxel_size_m
+    n_tested = 0
+    for camera in rig:
+        uv, distance = camera.project(grid.centers(voxels))
+        # The lens squeezes the rim of the picture by up to a fifth.
+        radius = 1.2 * np.sqrt(0.5) * distance / camera.K[0, 0]
+        surely = (depth > radius) & camera.contains(uv)
+        column, row = np.rint(uv[surely]).astype(int).T
+        assert _masks(session, camera.name)[2][row, column].all()
+        n_tested += np.count_nonzero(surely)
+    assert n_tested > 1000
 
 
 def test_missing_embree_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

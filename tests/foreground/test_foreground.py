@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from mocap.foreground import (
+    Background,
     ForegroundSettings,
     Segmenter,
     clean_mask,
     learn_background,
     median_background,
 )
-from mocap.foreground import _kernels as kernels
 
 H, W = 120, 160
 NOISE = 1.5
@@ -194,6 +194,12 @@ def test_mistakes_are_named():
         ForegroundSettings(method="magic")
     with pytest.raises(ValueError, match="adaptation"):
         ForegroundSettings(adaptation=1.0)
+    with pytest.raises(ValueError, match="hold_frames"):
+        ForegroundSettings(hold_frames=0)
+    with pytest.raises(ValueError, match="roi: expected shape"):
+        Segmenter(background, roi=np.ones((8, 6), bool))
+    with pytest.raises(ValueError, match="protect: expected bool"):
+        Segmenter(background).segment(np.zeros((6, 8, 3), np.uint8), protect=np.ones((6, 8), np.uint8))
 
 
 def test_clean_mask_fills_small_holes_drops_specks_and_keeps_large_holes():
@@ -211,32 +217,101 @@ def test_clean_mask_fills_small_holes_drops_specks_and_keeps_large_holes():
     assert not clean_mask(np.zeros((48, 64), dtype=bool)).any()
 
 
-def test_kernels_equal_numpy():
-    rng = np.random.default_rng(11)
-    image = rng.integers(0, 256, (9, 14, 3), dtype=np.uint8)
-    background = rng.integers(0, 256, (9, 14, 3), dtype=np.uint8)
-    threshold = rng.integers(1, 200, (9, 14), dtype=np.uint8)
-    largest = np.empty((9, 14), np.uint8)
-    candidate = np.empty((9, 14), np.uint8)
-    kernels.difference(
-        image.reshape(-1), background.reshape(-1), threshold.reshape(-1),
-        largest.reshape(-1), candidate.reshape(-1),
-    )  # fmt: skip
-    expected = np.abs(image.astype(int) - background).max(axis=2)
-    np.testing.assert_array_equal(largest, expected)
-    np.testing.assert_array_equal(candidate, np.where(expected > threshold, 255, 0))
+@pytest.mark.parametrize(("levels", "is_found"), [(17, False), (20, True)])
+def test_the_threshold_is_so_many_standard_deviations(levels, is_found):
+    """Spread 6, threshold 3 sigma = 18 levels, no slope: a block 17 levels brighter is background, 20 is not."""
+    background = Background(
+        np.full((H, W, 3), 100.0, np.float32), np.full((H, W, 3), 6.0, np.float32), 9, "clip", 0.0
+    )
+    settings = ForegroundSettings(min_area_px=600.0, strong_difference=10.0, compensate_gain=False)
+    image = np.full((H, W, 3), 100, np.uint8)
+    image[30:70, 40:80] += np.uint8(levels)
+    answer = Segmenter(background, settings).segment(image)
+    # The median of 3 x 3 candidates takes the four corners.
+    assert np.count_nonzero(answer.mask) == (40 * 40 - 4 if is_found else 0)
 
-    ratio = np.empty((9, 14), np.float32)
-    residual = np.empty((9, 14, 2), np.float32)
-    kernels.chroma_residual(image, background, ratio, residual)
-    i, b = image.astype(float), background.astype(float)
-    r = (i * b).sum(axis=2) / ((b * b).sum(axis=2) + 1)
-    np.testing.assert_allclose(ratio, r, rtol=1e-5)
-    np.testing.assert_allclose(residual, (i - r[:, :, None] * b)[:, :, ::2], atol=1e-2)
 
-    labels = rng.integers(0, 7, (9, 14)).astype(np.int32)
-    flags = rng.integers(0, 2, (9, 14), dtype=np.uint8)
-    area, flagged = np.zeros(7, np.int64), np.zeros(7, np.int64)
-    kernels.count_regions(labels, flags, area, flagged)
-    np.testing.assert_array_equal(area, np.bincount(labels.ravel(), minlength=7))
-    np.testing.assert_array_equal(flagged, np.bincount(labels.ravel(), weights=flags.ravel(), minlength=7))
+def test_a_gain_of_the_whole_picture_changes_nothing():
+    rng = np.random.default_rng(12)
+    scene = wall(rng)
+    background = learn_background(photograph(scene, rng) for _ in range(12))
+    mask = person_at(50)
+    still = with_person(scene, mask, (60.0, 80.0, 140.0)) + rng.normal(0.0, NOISE, scene.shape)
+    masks = [
+        Segmenter(background, SETTINGS).segment(np.clip(still * gain, 0, 255).astype(np.uint8)).mask
+        for gain in (1.0, 0.85, 1.2)
+    ]
+    # Rounding to grey levels moves a few pixels of the outline.
+    assert iou(masks[0], masks[1]) > 0.98
+    assert iou(masks[0], masks[2]) > 0.98
+
+
+def test_a_moved_chair_is_absorbed_after_a_while_unless_it_is_protected():
+    rng = np.random.default_rng(13)
+    scene = wall(rng)
+    background = learn_background(photograph(scene, rng) for _ in range(12))
+    settings = ForegroundSettings(min_area_px=600.0, hold_frames=64, compensate_gain=False)
+    chair = person_at(20)
+    person = person_at(110)
+    picture = with_person(with_person(scene, chair, (30.0, 40.0, 40.0)), person, (60.0, 80.0, 140.0))
+    segmenter = Segmenter(background, settings)
+    for i in range(140):
+        answer = segmenter.segment(photograph(picture, rng), protect=person)
+        assert np.count_nonzero(answer.mask & person) > MIN_IOU * np.count_nonzero(person)
+        if i < 64:
+            assert iou(answer.mask, person | chair) > MIN_IOU
+        if i >= 64 + 16:  # one row in sixteen is absorbed per picture
+            assert iou(answer.mask, person) > MIN_IOU
+    assert not np.any(answer.mask & chair)
+    free = Segmenter(background, settings)
+    for _ in range(140):
+        answer = free.segment(photograph(picture, rng))
+    assert not answer.mask.any()
+
+
+def test_a_person_who_stands_still_through_a_long_clip_keeps_his_mask():
+    rng = np.random.default_rng(14)
+    scene = wall(rng)
+    background = learn_background(photograph(scene, rng) for _ in range(12))
+    segmenter = Segmenter(background, ForegroundSettings(min_area_px=600.0, adaptation=0.02))
+    mask = person_at(70)
+    picture = with_person(scene, mask, (60.0, 80.0, 140.0))
+    first = iou(segmenter.segment(photograph(picture, rng)).mask, mask)
+    for _ in range(900):
+        answer = segmenter.segment(photograph(picture, rng))
+    assert iou(answer.mask, mask) > first - 0.02
+
+
+@pytest.mark.parametrize("method", ["gaussian", "mog2", "knn"])
+def test_nothing_is_foreground_outside_the_region_of_interest(method):
+    rng = np.random.default_rng(15)
+    scene = wall(rng)
+    roi = np.zeros((H, W), dtype=bool)
+    roi[:, 80:] = True
+    inside, outside = person_at(110), person_at(30)
+    picture = with_person(with_person(scene, inside, (60.0, 80.0, 140.0)), outside, (30.0, 60.0, 40.0))
+    background = learn_background(photograph(scene, rng) for _ in range(12))
+    settings = ForegroundSettings(method=method, min_area_px=600.0)
+    answer = Segmenter(background, settings, roi=roi).segment(photograph(picture, rng))
+    assert not np.any((answer.mask | answer.shadow) & ~roi)
+    assert np.count_nonzero(answer.mask & inside) > 0.8 * np.count_nonzero(inside)
+
+
+def test_an_answer_does_not_depend_on_other_persons_far_away():
+    """Windows are looked at one by one: two persons together give the union of each alone."""
+    rng = np.random.default_rng(16)
+    scene = wall(rng)
+    background = learn_background(photograph(scene, rng) for _ in range(12))
+    settings = ForegroundSettings(min_area_px=600.0, compensate_gain=False)
+    noise = rng.normal(0.0, NOISE, scene.shape)
+    left, right = np.zeros((H, W), bool), np.zeros((H, W), bool)
+    left[30:100, 8:28] = True
+    right[30:100, 130:150] = True
+
+    def masks_of(*who):
+        picture = scene.copy()
+        for mask in who:
+            picture[mask] = (60.0, 80.0, 140.0)
+        return Segmenter(background, settings).segment(np.clip(picture + noise, 0, 255).astype(np.uint8)).mask
+
+    np.testing.assert_array_equal(masks_of(left, right), masks_of(left) | masks_of(right))

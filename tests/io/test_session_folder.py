@@ -32,6 +32,20 @@ def test_plain_session(make_session: MakeSession, rig: CameraRig) -> None:
         assert sum(1 for _ in reader) == 12
 
 
+def test_regions_of_interest_from_pictures_and_polygons(make_session: MakeSession, rig: CameraRig) -> None:
+    root = make_session(5)
+    first, second = rig.names[:2]
+    (root / "roi").mkdir()
+    write_picture(root / "roi" / f"{first}.png", np.full((*rig[0].size[::-1], 3), 255, np.uint8))
+    (root / "session.toml").write_text(f"[roi_px]\n{second} = [[0, 0], [20.5, 0], [3, 9]]\n")
+    session = open_session(root)
+    assert list(session.roi_sources) == [first]
+    assert session.roi_px == {second: ((0.0, 0.0), (20.5, 0.0), (3.0, 9.0))}
+    (root / "session.toml").write_text("[roi_px]\nnobody = [[0, 0], [20, 0], [3, 9]]\n")
+    with pytest.raises(MocapError, match=r"roi_px\.nobody names a camera"):
+        open_session(root)
+
+
 def test_settings_and_range(make_session: MakeSession) -> None:
     root = make_session(12)
     (root / "truth").mkdir()
@@ -64,6 +78,9 @@ def test_range_outside_the_clips(make_session: MakeSession, frames: tuple[int | 
         ("fps = nan", "fps"),
         ("fps = true", "fps"),
         ("frames = [5]", "frames"),
+        ("roi_px = 3", "roi_px"),
+        ("[roi_px]\ncam = [[0, 0], [1, 1]]", "roi_px.cam"),
+        ("[roi_px]\ncam = [[0, 0], [1, 1], [nan, 2]]", "roi_px.cam"),
         ("frames = [9, 5]", "frames"),
         ("room_bounds_m = [[0, 0, 0], [1, 1]]", "room_bounds_m"),
         ("room_bounds_m = [[0, 0, 0], [1, -1, 1]]", "room_bounds_m"),

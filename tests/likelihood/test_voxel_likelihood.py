@@ -14,13 +14,14 @@ from mocap.likelihood import (
     PartScores,
     VoxelLikelihoodSettings,
     VoxelProblem,
+    _kernels,
     factorised_log_likelihood,
     global_log_likelihood,
     part_scores,
     part_scores_numpy,
 )
 from mocap.likelihood._kernels import part_scores_kernel
-from mocap.likelihood.voxels import SURFACE_MAX
+from mocap.likelihood.voxels import SURFACE_MAX, _select
 from mocap.pipeline.pose_problem import PersonHull, pack_volume
 
 FIELDS = ("out", "double", "occupied", "surface")
@@ -47,7 +48,6 @@ def volume(coarse_flesh: Flesh) -> PackedVolume:
     return volume_of(coarse_flesh, coarse_flesh.hull(neutral_state(coarse_flesh.body)))
 
 
-# 23 particles: the kernel clears its stamps every seventh, so that three epochs wrap.
 @pytest.mark.parametrize(("std_m", "std_rad"), [(0.0, 0.0), (0.03, 0.1), (0.2, 0.8), (1.5, 3.0)])
 def test_kernel_is_the_numpy_twin(
     coarse_flesh: Flesh, volume: PackedVolume, std_m: float, std_rad: float
@@ -133,34 +133,80 @@ def test_order_of_particles_does_not_matter(coarse_flesh: Flesh, volume: PackedV
     assert none.out.shape == (0, coarse_flesh.body.layout.n_parts)
 
 
-def test_python_twin_of_the_kernel() -> None:
+@pytest.mark.parametrize("n_tags", [2**18, 3])
+def test_python_twin_of_the_kernel(monkeypatch: pytest.MonkeyPatch, n_tags: int) -> None:
+    """Interpreted, and with so few particle tags that they begin anew after every second particle."""
     flesh = make_flesh("thesis", 1.7, 0.05)
     volume = volume_of(flesh, flesh.hull(neutral_state(flesh.body)))
-    states = scatter(flesh, 2, 0.05, 0.3)
-    table = flesh.table
-    counts = np.zeros((2, flesh.body.layout.n_parts, 4), dtype=np.int64)
-    part_scores_kernel.py_func(
-        states,
-        *flesh.body.chain,
-        *(np.ascontiguousarray(table.points[:, i]) for i in range(3)),
-        table.start,
-        table.n_surface,
-        table.joint,
-        table.part,
-        table.center,
-        table.radius,
-        len(table.joint),
-        volume.crop.reshape(-1),
-        np.array(volume.crop.shape),
-        volume.lower_m,
-        volume.grid.voxel_size_m,
-        volume.grid.origin,
-        volume.grid.upper,
-        counts,
-    )
-    scores = part_scores(flesh.body, table, volume, states)
-    np.testing.assert_allclose(counts[..., 2] / table.part_sizes, scores.occupied)
-    np.testing.assert_allclose(counts[..., 1] / table.part_sizes, scores.double)
+    states = scatter(flesh, 5, 0.05, 0.3)
+    counts = np.zeros((5, flesh.body.layout.n_parts, 4), dtype=np.int64)
+    segments = _select(flesh.table, tuple(range(flesh.body.layout.n_parts)), ())[0]
+    crop = volume.crop.reshape(-1)
+    cells = np.full(crop.size, 2**31 + 12345, dtype=np.uint32)
+    monkeypatch.setattr(_kernels, "_N_TAGS", n_tags)
+    with np.errstate(over="ignore"):  # the kernel's unsigned subtraction wraps around on purpose
+        part_scores_kernel.py_func(states, flesh.body.chain, segments, volume.box, crop, cells, counts)
+    scores = part_scores(flesh.body, flesh.table, volume, states)
+    np.testing.assert_allclose(counts[..., 2] / flesh.table.part_sizes, scores.occupied)
+    np.testing.assert_allclose(counts[..., 1] / flesh.table.part_sizes, scores.double)
+    assert scores.double.max() > 0
+
+
+# A chain of four parts, pairwise different; out of order, and with parts that only take up room.
+SUBSETS = [((3,), ()), ((5, 0), ()), ((9, 2, 0), (4, 8)), ((1,), (0, 2, 3)), ((), (1,)), ((2, 3), (3, 0))]
+
+
+@pytest.mark.parametrize(("parts", "given"), SUBSETS)
+def test_kernel_is_the_numpy_twin_on_a_subset_of_parts(
+    coarse_flesh: Flesh, volume: PackedVolume, parts: tuple[int, ...], given: tuple[int, ...]
+) -> None:
+    args = coarse_flesh.body, coarse_flesh.table, volume, scatter(coarse_flesh, 11, 0.1, 0.5)
+    fast = part_scores(*args, parts=parts, given=given)
+    assert fast.out.shape == (11, len(parts))
+    assert_same(fast, part_scores_numpy(*args, parts=parts, given=given))
+    assert_same(fast, part_scores(*args, parts=parts, given=given, n_threads=3))
+
+
+def test_all_parts_named_are_all_parts(coarse_flesh: Flesh, volume: PackedVolume) -> None:
+    """In any order; and only double occupancy depends on which other parts are there."""
+    args = coarse_flesh.body, coarse_flesh.table, volume, scatter(coarse_flesh, 13, 0.1, 0.5)
+    P = coarse_flesh.body.layout.n_parts
+    whole = part_scores(*args)
+    order = list(np.random.default_rng(5).permutation(P))
+    shuffled = part_scores(*args, parts=order)
+    some = part_scores(*args, parts=order[:4], given=order[4:])
+    alone = part_scores(*args, parts=order[:4])
+    for field in FIELDS:
+        np.testing.assert_array_equal(getattr(shuffled, field), getattr(whole, field)[:, order])
+        np.testing.assert_array_equal(getattr(some, field), getattr(whole, field)[:, order[:4]])
+        if field != "double":
+            np.testing.assert_array_equal(getattr(alone, field), getattr(whole, field)[:, order[:4]])
+    assert np.all(alone.double <= some.double)
+    assert alone.double.sum() < some.double.sum()
+    single = part_scores(*args, parts=[order[0]])
+    assert np.all(single.double == 0), "one part alone meets nobody"
+
+
+@pytest.mark.parametrize("factorised", [True, False])
+def test_a_problem_scores_the_parts_asked_for(
+    coarse_flesh: Flesh, volume: PackedVolume, factorised: bool
+) -> None:
+    states = scatter(coarse_flesh, 6, 0.05, 0.3)
+    args = coarse_flesh.body, coarse_flesh.table, volume
+    problem = VoxelProblem(*args, VoxelLikelihoodSettings(factorised=factorised))
+    P = coarse_flesh.body.layout.n_parts
+    whole = problem.log_likelihood(states)
+    named = problem.log_likelihood(states, range(P))
+    np.testing.assert_array_equal(named, whole)
+    some = problem.log_likelihood(states, (7, 2), tuple(p for p in range(P) if p not in (7, 2)))
+    if factorised:
+        np.testing.assert_array_equal(some, whole[:, [7, 2]])
+    else:
+        scores = part_scores(*args, states, parts=(7, 2), given=range(P))
+        np.testing.assert_array_equal(
+            some, global_log_likelihood(scores, coarse_flesh.table, problem.settings, (7, 2))
+        )
+        assert some.shape == (6, 1)
 
 
 def test_scores_of_full_and_empty_volumes(coarse_flesh: Flesh) -> None:
@@ -301,3 +347,8 @@ def test_bad_input_is_refused(coarse_flesh: Flesh, volume: PackedVolume) -> None
         PackedVolume(np.zeros((256, 256, 256), np.uint8), np.zeros(3, np.int64), grid)
     with pytest.raises(ValueError, match="states has shape"):
         part_scores(coarse_flesh.body, coarse_flesh.table, volume, np.zeros((2, 26)))
+    for parts, given in (((0, 0), ()), ((10,), ()), ((-1,), ()), ((0,), (99,))):
+        with pytest.raises(ValueError, match="parts and given"):
+            part_scores(
+                coarse_flesh.body, coarse_flesh.table, volume, np.zeros((2, 27)), parts=parts, given=given
+            )

@@ -16,6 +16,7 @@ from mocap.view.plots import (
     plot_error_over_time,
     plot_filter_health,
     plot_foreground_share,
+    plot_mask_quality,
     plot_joint_angles,
     plot_landmark_errors,
     plot_stage_timing,
@@ -74,6 +75,9 @@ def test_other_plots():
     decoded(plot_stage_timing({}))
     decoded(plot_foreground_share(frames, {"a": np.full(T, 0.1), "b": np.full(T, 0.2)}))
     decoded(plot_foreground_share(frames, {}))
+    quality = {"a": {"flicker": 0.02, "leakage": 0.0, "residual": None}, "b": {"flicker": 0.3}}
+    assert plot_mask_quality(quality) != plot_mask_quality({"a": {}, "b": {}})
+    decoded(plot_mask_quality({}))
     health = FilterHealth(1, frames, np.full(T, 0.5), None, -np.arange(T, dtype=float))
     decoded(plot_filter_health([health, FilterHealth(2, frames)]))
     decoded(plot_filter_health([]))

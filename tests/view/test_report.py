@@ -203,3 +203,12 @@ def test_unwritable_folder_is_one_clear_error(tmp_path: Path, full):
     with pytest.raises(MocapError, match="Remedy") as caught:
         write_report(tmp_path / "missing" / "report.html", replace(full, frames=()))
     assert caught.value.path == tmp_path / "missing" / "report.html"
+
+
+def test_silhouettes_have_a_table_when_they_are_known(full: ReportData) -> None:
+    assert "silhouettes" not in parsed(report_html(full)).ids
+    numbers = {"cam <a>": {"foreground_share": 0.043, "flicker": 0.0125, "residual": None}}
+    page = parsed(report_html(replace(full, silhouettes=numbers)))
+    assert "silhouettes" in page.ids
+    for text in ("cam <a>", "4.3", "1.2", "Outside the volume"):
+        assert text in page.text

@@ -204,3 +204,43 @@ def test_residuals_of_a_fitting_and_of_a_shifted_camera():
     bad = silhouette_residuals(hull, masks, rig)
     assert bad.uncovered[0] == 0
     assert bad.uncovered[1] > 0.3
+
+
+def test_depth_buffer_agrees_with_the_line_walk_on_a_convex_body():
+    """On a ball both must see the near side and not the far one; at the rim they may differ."""
+    rig = two_cameras()
+    centers = GRID.centers(np.arange(GRID.n_voxels, dtype=np.int32))
+    middle = np.array([0.05, 0.35, 0.85])
+    voxels = np.flatnonzero(np.linalg.norm(centers - middle, axis=1) < 0.42).astype(np.int32)
+    is_surface = surface_voxels(voxels, GRID)
+    line, pixels = visible_views(voxels, is_surface, GRID, rig)
+    buffer, same_pixels = visible_views(voxels, is_surface, GRID, rig, "zbuffer")
+    np.testing.assert_array_equal(pixels, same_pixels)
+    assert not buffer[pixels < 0].any()
+    towards = centers[voxels] - middle
+    for c, side in enumerate((1.0, -1.0)):
+        near = is_surface & (side * towards[:, 0] > 0.25) & (pixels[:, c] >= 0)
+        far = is_surface & (side * towards[:, 0] < -0.25)
+        assert near.any()
+        assert far.any()
+        assert buffer[near, c].all()
+        assert not buffer[far, c].any()
+        assert line[near, c].all()
+        assert not line[far, c].any()
+    hull = colour_hull(voxels, is_surface, GRID, rig, None, "zbuffer")
+    np.testing.assert_array_equal(hull.n_views, buffer.sum(axis=1))
+    with pytest.raises(ValueError, match="visibility"):
+        visible_views(voxels, is_surface, GRID, rig, "rays")
+
+
+def test_a_body_hides_another_from_the_depth_buffer():
+    dense = np.zeros(GRID.shape, dtype=bool)
+    dense[8:10, 2:11, 3:14] = True  # a wall on the +x side, before camera 0
+    dense[2:4, 5:8, 6:10] = True  # a block behind it
+    voxels = np.flatnonzero(dense).astype(np.int32)
+    is_surface = surface_voxels(voxels, GRID)
+    behind = is_surface & (GRID.subscripts(voxels)[:, 0] < 5)
+    for visibility in ("line", "zbuffer"):
+        visible, _ = visible_views(voxels, is_surface, GRID, two_cameras(), visibility)
+        assert not visible[behind, 0].any()
+        assert visible[behind & (GRID.subscripts(voxels)[:, 0] == 2), 1].all()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mocap.body import scale_body
 from mocap.body.initial import HeightEstimate
 from mocap.body.model import load_body_model
+from mocap.body.stretch import lengths_of, with_lengths
 from mocap.data import Tracks
 from mocap.io.session import Session
 from mocap.io.store import StageStore
@@ -40,7 +41,7 @@ def pose_stage(
     results = estimate_poses(
         session, config, store, tracks, seed=seed, n_threads=n_threads, progress=progress
     )
-    _store_poses(store, key, config, results)
+    store_poses(store, key, config, results)
     return results
 
 
@@ -112,12 +113,14 @@ def estimate_poses(
     return results
 
 
-def _store_poses(store: StageStore, key: str, config: Config, results: list[PersonPoses]) -> None:
+def store_poses(store: StageStore, key: str, config: Config, results: list[PersonPoses]) -> None:
+    """Poses of all persons into the store; `stored_poses` reads them back."""
     attrs = {
         "body_model": config.body.model,
         "persons": {
             str(r.person): {
                 "height_m": r.height.height_m,
+                "lengths": lengths_of(r.body),
                 "height_is_measured": r.height.is_measured,
                 "start_frame": r.start_frame,
                 "first_pose": r.first_pose,
@@ -160,7 +163,7 @@ def stored_poses(store: StageStore) -> list[PersonPoses]:
         results.append(
             PersonPoses(
                 person=int(name),
-                body=scale_body(model, about["height_m"]),
+                body=with_lengths(scale_body(model, about["height_m"]), about["lengths"]),
                 height=HeightEstimate(about["height_m"], about["height_is_measured"]),
                 frames=np.array([frame for frame, _, _ in own], dtype=np.int64),
                 states=column("state"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 Progress = Callable[[str, int, int], None]
 
@@ -13,4 +14,4 @@ class StageReport:
     """What a stage has to say: warnings for the user and numbers for run.json."""
 
     warnings: tuple[str, ...] = ()
-    numbers: dict[str, float | int | str] | None = None
+    numbers: dict[str, Any] | None = None

@@ -4,20 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from itertools import islice
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.data import Camera
 from mocap.errors import MocapError
-from mocap.foreground import Background, ForegroundSettings, Segmenter, learn_background, median_background
+from mocap.foreground import (
+    Background,
+    ForegroundSettings,
+    MaskQuality,
+    Segmenter,
+    learn_background,
+    mask_quality,
+    median_background,
+)
+from mocap.foreground.quality import Triple
 from mocap.io.session import Session
 from mocap.io.store import StageStore, StageWriter
 from mocap.io.video import FrameReader, MaskReader, iter_clip
 from mocap.pipeline.config import Config, SegmentationConfig
 from mocap.pipeline.stages.report import Progress, StageReport
 
-_UNUSABLE_SHARE = 0.1  # share of frames with unusable masks that earns a warning
+_QUALITY_FRAMES = 40  # looked at closely for the quality of the masks
 
 
 def learn_backgrounds(session: Session, config: SegmentationConfig, warnings: list[str]) -> list[Background]:
@@ -79,7 +91,7 @@ def segment_stage(
     """Foreground masks of every frame into the store: computed, or taken over from masks/.
 
     Store: per frame `m0 .. mC-1`, (H, ceil(W / 8)) uint8, bits of the masks along rows in rig order; `share`
-    (C,) foreground share; `usable` (C,) bool.
+    (C,) foreground share; `shadow` (C,) shadow share, NaN for masks taken over; `usable` (C,) bool.
     Source: CF 2.2.3.
     """
     warnings: list[str] = []
@@ -91,12 +103,18 @@ def segment_stage(
             MaskReader(session.mask_sources, rig, frames) as reader,
         ):
             for i, (frame, masks) in enumerate(reader):
-                _append_masks(out, frame, masks, np.ones(len(rig), dtype=np.bool_))
+                unknown = np.full(len(rig), np.nan, dtype=np.float32)
+                _append_masks(out, frame, masks, unknown, np.ones(len(rig), dtype=np.bool_))
                 progress("segment", i + 1, n)
         return
     backgrounds = learn_backgrounds(session, config.segmentation, warnings)
-    settings = ForegroundSettings(method=config.segmentation.method)
-    segmenters = [Segmenter(b, settings) for b in backgrounds]
+    settings = ForegroundSettings(
+        method=config.segmentation.method, hold_frames=max(1, round(config.segmentation.hold_s * session.fps))
+    )
+    segmenters = [
+        Segmenter(b, settings, roi=region_of_interest(session, camera))
+        for b, camera in zip(backgrounds, rig, strict=True)
+    ]
     attrs: dict[str, object] = {"source": "images", "warnings": warnings}
     with (
         store.writer("segment", key, attrs) as out,
@@ -106,16 +124,21 @@ def segment_stage(
         for i, (frame, images) in enumerate(images_of):
             found = list(pool.map(lambda s, image: s.segment(image), segmenters, images))
             usable = np.array([m.is_usable for m in found])
-            _append_masks(out, frame, [m.mask for m in found], usable)
+            shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
+            _append_masks(out, frame, [m.mask for m in found], shadow, usable)
             progress("segment", i + 1, n)
 
 
 def _append_masks(
-    out: StageWriter, frame: int, masks: Sequence[NDArray[np.bool_]], usable: NDArray[np.bool_]
+    out: StageWriter,
+    frame: int,
+    masks: Sequence[NDArray[np.bool_]],
+    shadow: NDArray[np.float32],
+    usable: NDArray[np.bool_],
 ) -> None:
     packed = {f"m{c}": np.packbits(mask, axis=1) for c, mask in enumerate(masks)}
     share = np.array([float(m.mean()) for m in masks], dtype=np.float32)
-    out.append(frame, share=share, usable=usable, **packed)
+    out.append(frame, share=share, shadow=shadow, usable=usable, **packed)
 
 
 def read_masks(store: StageStore, session: Session) -> Iterator[tuple[int, list[NDArray[np.bool_]]]]:
@@ -132,23 +155,74 @@ def masks_from_arrays(arrays: dict[str, NDArray[np.uint8]], session: Session) ->
     ]
 
 
+def region_of_interest(session: Session, camera: Camera) -> NDArray[np.bool_] | None:
+    """Where persons can be, (H, W) bool: roi/CAM.png or [roi_px] in session.toml; None = everywhere.
+
+    Raises MocapError for a picture of another size than the camera's, or a region that is empty.
+    """
+    width, height = camera.size
+    region = np.zeros((height, width), dtype=np.uint8)
+    path = session.root / "session.toml"
+    if camera.name in session.roi_sources:
+        path = session.roi_sources[camera.name]
+        picture = next(iter_clip(path, size=camera.size, camera=camera.name))
+        region = picture.max(axis=2)
+    elif camera.name in session.roi_px:
+        corners = np.round(np.array(session.roi_px[camera.name]).clip(-1e5, 1e5)).astype(np.int32)
+        cv2.fillPoly(region, [corners], 255)
+    else:
+        return None
+    if not region.any():
+        raise MocapError(
+            "the region of interest holds no pixel",
+            path=path,
+            camera=camera.name,
+            remedy="paint the part of the picture white in which persons can be, or remove it",
+        )
+    return region > 0
+
+
 def segment_report(store: StageStore, session: Session) -> StageReport:
-    """Warnings about the masks: backgrounds that do not fit, cameras that see nothing."""
+    """Advice about the masks of every camera, and their numbers; see foreground.mask_quality."""
     reader = store.reader("segment")
     warnings = list(reader.attrs.get("warnings", []))
-    rows = [(arrays["share"], arrays["usable"]) for _, arrays in reader]
-    share, usable = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
-    for c, camera in enumerate(session.rig):
-        bad = 1.0 - usable[:, c].mean()
-        if bad > _UNUSABLE_SHARE:
-            warnings.append(
-                f"camera {camera.name}: the foreground fills most of the picture in {bad:.0%} of the frames; the "
-                "background does not fit. Remedy: record background/ with the same light and camera settings, or "
-                "give masks/"
-            )
-        if share[:, c].max() < 1e-4:
-            warnings.append(f"camera {camera.name}: no foreground in any frame")
+    rows = [(arrays["share"], arrays["shadow"], arrays["usable"]) for _, arrays in reader]
+    share, shadow, usable = (np.array([row[i] for row in rows]) for i in range(3))
+    qualities = mask_quality(
+        session.rig.names,
+        _sampled_triples(store, session),
+        foreground_share=share,
+        shadow_share=shadow,
+        is_usable=usable,
+    )
+    warnings += [advice for quality in qualities for advice in quality.advice]
     return StageReport(
         tuple(warnings),
-        {"mean_foreground_share": round(float(share.mean()), 4), "source": reader.attrs["source"]},
+        {
+            "mean_foreground_share": round(float(share.mean()), 4),
+            "source": reader.attrs["source"],
+            "cameras": {quality.camera: quality_numbers(quality) for quality in qualities},
+        },
     )
+
+
+def quality_numbers(quality: MaskQuality) -> dict[str, float | None]:
+    """The numbers of one camera, rounded, with None for what is not known."""
+    values = asdict(quality)
+    return {
+        key: round(values[key], 4) if np.isfinite(values[key]) else None
+        for key in values
+        if key not in ("camera", "advice")
+    }
+
+
+def _sampled_triples(store: StageStore, session: Session) -> Iterator[Triple]:
+    """Some frames, evenly spread, with their neighbours."""
+    reader = store.reader("segment")
+    frames = reader.frames
+    middles = np.unique(np.linspace(1, len(frames) - 2, _QUALITY_FRAMES).round().astype(int))
+    for i in middles if len(frames) >= 3 else ():
+        before, now, after = (
+            masks_from_arrays(reader.read(int(frames[j])), session) for j in (i - 1, i, i + 1)
+        )
+        yield before, now, after

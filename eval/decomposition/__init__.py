@@ -1,0 +1,1 @@
+"""The decomposition filters compared cell by cell: cells, many of them, and what was published beside them."""

@@ -1,0 +1,262 @@
+"""One cell of a comparison: a filter with its settings, tracking one synthetic object from the first frame on."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_synth.polygons import SMALL, PolygonScene, PolygonSceneSettings, make_polygon_scene
+from mocap.data.polygons import PolygonTree, corner_positions, object_trees
+from mocap.filters import FILTERS, ParticleState, initial_particles
+from mocap.likelihood.polygons import PolygonLikelihoodSettings, PolygonProblem, random_walk_std
+from mocap.metrics import corner_error
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class World:
+    """What is common to the experiments of one source.
+
+    std_px, std_rad : random walk of the filters.
+    """
+
+    scene: PolygonSceneSettings
+    std_px: float
+    std_rad: float
+    likelihood: PolygonLikelihoodSettings
+
+
+_LARGE = PolygonSceneSettings(n_arms=4, n_levels=4)
+WORLDS = {
+    # SW 6.1, 6.2, 6.4.
+    "sw": World(
+        replace(_LARGE, strong_frames=((50, 150), (200, 250))), 1.0, 0.025, PolygonLikelihoodSettings()
+    ),
+    # XN 4.4.1, 4.4.2, 4.4.4; chapter 5 uses the same.
+    "xn4": World(_LARGE, 1.0, 0.025, PolygonLikelihoodSettings()),
+    # XN 6.2: silhouette beside colour; its weight is not printed, ours is that of the colour.
+    # The random walk is twice as wide, and so is the motion.
+    "xn6": World(
+        replace(SMALL, speed_px=1.0, speed_rad=0.025),
+        2.0,
+        0.05,
+        PolygonLikelihoodSettings(lambda_silhouette=50.0),
+    ),
+}
+
+
+# How sharp the likelihood is decides what swapping can do; the sources' 50 is in "sw".
+SHARPNESS = (15, 200, 800)
+for _lambda in SHARPNESS:
+    WORLDS[f"sw_{_lambda}"] = replace(
+        WORLDS["sw"], likelihood=PolygonLikelihoodSettings(lambda_colour=float(_lambda))
+    )
+
+
+@dataclass(frozen=True, order=True)
+class SceneKey:
+    """Which scene.  world : a key of WORLDS.  seed : which of the scenes with these settings.  n_frames : 0 = all."""
+
+    world: str
+    n_arms: int
+    n_levels: int
+    n_objects: int = 1
+    n_clutter: int = 0
+    seed: int = 0
+    n_frames: int = 0
+
+
+@dataclass(frozen=True, order=True)
+class RunKey:
+    """Which filter on it.
+
+    n_evaluations : of the whole state per frame, the same for all filters that are compared (reading guide 23). A
+    filter without layers gets as many particles, one with n_layers gets n_evaluations / n_layers of them.
+    n_layers : how often a filter that anneals or swarms scores each particle, XN's L + 1; 1 for the others.
+    is_split : one filter for each object instead of one for all, n_evaluations each.
+    """
+
+    filter: str
+    n_evaluations: int
+    n_layers: int = 1
+    resampling: str = "systematic"
+    is_split: bool = False
+    seed: int = 0
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """A scene and a run on it; one number comes out: the mean error."""
+
+    scene: SceneKey
+    run: RunKey
+
+    def key(self) -> dict[str, str]:
+        """The cell as the columns of a CSV row."""
+        scene = {f"scene_{k}" if k == "seed" else k: str(v) for k, v in asdict(self.scene).items()}
+        run = {f"run_{k}" if k == "seed" else k: str(v) for k, v in asdict(self.run).items()}
+        return scene | run
+
+
+KEY_FIELDS = tuple(Cell(SceneKey("sw", 1, 2), RunKey("sir", 2)).key())
+VALUE_FIELDS = (
+    "error_px",
+    "error_weak_px",
+    "error_strong_px",
+    "evaluations",
+    "resampling_ms",
+    "swapping_ms",
+    "step_ms",
+    "status",
+)
+
+
+def scene_of(key: SceneKey) -> PolygonScene:
+    """The scene of a key; clutter does not change the motion."""
+    settings = replace(
+        WORLDS[key.world].scene,
+        n_arms=key.n_arms,
+        n_levels=key.n_levels,
+        n_objects=key.n_objects,
+        n_clutter=key.n_clutter,
+    )
+    if key.n_frames:
+        settings = replace(settings, n_frames=key.n_frames)
+    return make_polygon_scene(
+        settings, rng=np.random.default_rng([key.seed, key.n_arms, key.n_levels, key.n_objects])
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Track:
+    """One filter on one (sub-)tree of a scene.  columns : its part of the whole state.  parts : its reference rows."""
+
+    tree: PolygonTree
+    columns: NDArray[np.int64]
+    parts: NDArray[np.int64]
+    settings: Any
+
+
+class _Run:
+    """A run in progress; frame by frame, so that several runs share the pictures of a scene."""
+
+    def __init__(self, scene: PolygonScene, cell: Cell) -> None:
+        self.cell, self.scene, self.world = cell, scene, WORLDS[cell.scene.world]
+        self.estimates = np.full_like(scene.states, np.nan)
+        self.estimates[0] = scene.states[0]
+        self.seconds: dict[str, float] = {}
+        self.step_s = 0.0
+        self.n_evaluations = 0
+        self.failure = ""
+        self.rng = np.random.default_rng([cell.run.seed, zlib.crc32(repr(cell).encode())])
+        self.tracks = [self._track(tree, columns) for tree, columns in self._trees()]
+        problems = [self._problem(track, scene.bins(0)) for track in self.tracks]
+        self.states = [
+            initial_particles(
+                problem, scene.states[0, track.columns], max(2, cell.run.n_evaluations // cell.run.n_layers)
+            )
+            for problem, track in zip(problems, self.tracks, strict=True)
+        ]
+
+    def _trees(self) -> Sequence[tuple[PolygonTree, NDArray[np.int64]]]:
+        if self.cell.run.is_split:
+            return object_trees(self.scene.tree)
+        return [(self.scene.tree, np.arange(self.scene.tree.layout.n_columns))]
+
+    def _track(self, tree: PolygonTree, columns: NDArray[np.int64]) -> _Track:
+        from mocap.filters.budget import settings_for
+
+        run = self.cell.run
+        std = random_walk_std(tree.layout, self.world.std_px, self.world.std_rad)
+        settings = settings_for(
+            run.filter,
+            layout=tree.layout,
+            std=std,
+            n_particles=run.n_evaluations // run.n_layers,
+            n_layers=run.n_layers,
+            alpha=0.5,
+            resampling=run.resampling,
+        )
+        parts = np.array([self.scene.tree.layout.parts.index(name) for name in tree.layout.parts])
+        return _Track(tree, columns, parts, settings)
+
+    def _problem(self, track: _Track, bins: NDArray[np.uint16]) -> PolygonProblem:
+        reference = self.scene.reference[track.parts]
+        return PolygonProblem(track.tree, bins, reference, self.world.likelihood)
+
+    def step(self, frame: int, bins: NDArray[np.uint16]) -> None:
+        """Filter one frame; a failure ends the run and is kept as its status."""
+        if self.failure:
+            return
+        try:
+            for i, track in enumerate(self.tracks):
+                self._step_track(i, track, frame, bins)
+        except Exception as error:  # one failed cell must not stop the others
+            self.failure = f"{type(error).__name__}: {error}".replace("\n", " ")[:120]
+
+    def _step_track(self, i: int, track: _Track, frame: int, bins: NDArray[np.uint16]) -> None:
+        problem = self._problem(track, bins)
+        begun = time.perf_counter()
+        state: ParticleState = self.states[i]
+        self.states[i], info = FILTERS[self.cell.run.filter](problem, state, track.settings, rng=self.rng)
+        self.step_s += time.perf_counter() - begun
+        self.estimates[frame, track.columns] = info.estimate
+        self.n_evaluations += info.n_evaluations
+        for name, seconds in info.seconds.items():
+            self.seconds[name] = self.seconds.get(name, 0.0) + seconds
+
+    def row(self) -> dict[str, str]:
+        """The finished run as a CSV row; times are per frame."""
+        row = self.cell.key() | dict.fromkeys(VALUE_FIELDS, "")
+        if self.failure:
+            return row | {"status": self.failure}
+        error = corner_error(corner_positions(self.scene.tree, self.estimates), self.scene.corners)[1:]
+        frames = np.arange(1, len(error) + 1)
+        strong = np.zeros(len(error), dtype=np.bool_)
+        for first, last in self.scene.settings.strong_frames:
+            strong |= (frames >= first) & (frames <= last)
+        n = max(1, len(error))
+        values = {
+            "error_px": _mean(error),
+            "error_weak_px": _mean(error[~strong]),
+            "error_strong_px": _mean(error[strong]),
+            "evaluations": f"{self.n_evaluations / n:.1f}",
+            "resampling_ms": f"{1e3 * self.seconds.get('resampling', 0.0) / n:.4f}",
+            "swapping_ms": f"{1e3 * self.seconds.get('swapping', 0.0) / n:.4f}",
+            "step_ms": f"{1e3 * self.step_s / n:.3f}",
+        }
+        status = "ok" if np.all(np.isfinite(error)) else "not finite"
+        return row | values | {"status": status}
+
+
+def _mean(values: Array) -> str:
+    return f"{values.mean():.3f}" if len(values) else ""
+
+
+def run_scene(
+    key: SceneKey, runs: Sequence[RunKey], progress: Callable[[int], None] | None = None
+) -> list[dict[str, str]]:
+    """All runs on one scene, side by side through its frames: one CSV row each, failed ones too."""
+    scene = scene_of(key)
+    rows, going = [], []
+    for run in runs:
+        cell = Cell(key, run)
+        try:
+            going.append(_Run(scene, cell))
+        except (ValueError, KeyError, ImportError, AttributeError) as error:
+            status = f"{type(error).__name__}: {error}".replace("\n", " ")[:120]
+            rows.append(cell.key() | dict.fromkeys(VALUE_FIELDS, "") | {"status": status})
+    for frame in range(1, scene.settings.n_frames):
+        bins = scene.bins(frame)
+        for one in going:
+            one.step(frame, bins)
+        if progress is not None:
+            progress(frame)
+    return rows + [one.row() for one in going]

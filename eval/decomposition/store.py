@@ -1,0 +1,96 @@
+"""Many cells: results in a CSV that grows, so that a stopped evaluation goes on where it stopped."""
+
+from __future__ import annotations
+
+import csv
+import multiprocessing
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+from eval.decomposition.cells import KEY_FIELDS, VALUE_FIELDS, Cell, RunKey, SceneKey, run_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+STORE = ROOT / "out" / "eval" / "decomposition" / "cells.csv"
+RESULTS = ROOT / "eval" / "results"
+
+Row = dict[str, str]
+
+
+def read_rows(path: Path = STORE) -> dict[tuple[str, ...], Row]:
+    """Rows of a store by cell; the last one of a cell counts. A line cut off in mid-write is left out."""
+    if not path.exists():
+        return {}
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = [row for row in csv.DictReader(stream) if row.get("status")]
+    return {_key(row): row for row in rows}
+
+
+def _key(row: Row) -> tuple[str, ...]:
+    return tuple(row[field] for field in KEY_FIELDS)
+
+
+def append_rows(rows: Iterable[Row], path: Path = STORE) -> None:
+    """Add rows, the header first in a new file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    is_new = not path.exists() or path.stat().st_size == 0
+    text_ends = is_new or path.read_bytes().endswith(b"\n")
+    with path.open("a", newline="", encoding="utf-8") as stream:
+        if not text_ends:
+            stream.write("\n")
+        writer = csv.DictWriter(stream, (*KEY_FIELDS, *VALUE_FIELDS), lineterminator="\n")
+        if is_new:
+            writer.writeheader()
+        writer.writerows(rows)
+
+
+def missing(cells: Iterable[Cell], path: Path = STORE) -> dict[SceneKey, list[RunKey]]:
+    """Cells without a result, by scene. Failed ones count as missing: they are tried again."""
+    rows = read_rows(path)
+    todo: dict[SceneKey, list[RunKey]] = {}
+    for cell in dict.fromkeys(cells):
+        row = rows.get(_key(cell.key()))
+        if row is None or row["status"] != "ok":
+            todo.setdefault(cell.scene, []).append(cell.run)
+    return todo
+
+
+def run_cells(cells: Sequence[Cell], *, n_workers: int, path: Path = STORE) -> list[Row]:
+    """Results of all cells in the order given; computes those that the store lacks, in n_workers processes.
+
+    A cell that failed comes back with its message as status; a process that dies loses its scene only.
+    """
+    todo = missing(cells, path)
+    begun = time.perf_counter()
+    n_runs = sum(map(len, todo.values()))
+    if todo:
+        _say(f"{len(cells)} cells, {n_runs} to compute on {len(todo)} scenes")
+    if n_workers <= 1:
+        for i, (scene, runs) in enumerate(todo.items()):
+            append_rows(run_scene(scene, runs), path)
+            _say_progress(i + 1, len(todo), scene, begun)
+    elif todo:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(n_workers, mp_context=context) as pool:
+            futures = {pool.submit(run_scene, scene, runs): scene for scene, runs in todo.items()}
+            for i, future in enumerate(as_completed(futures)):
+                error = future.exception()
+                if error is None:
+                    append_rows(future.result(), path)
+                else:
+                    _say(f"lost {futures[future]}: {type(error).__name__}: {error}")
+                _say_progress(i + 1, len(todo), futures[future], begun)
+    rows = read_rows(path)
+    lost = dict.fromkeys(VALUE_FIELDS, "") | {"status": "lost"}
+    return [rows.get(_key(cell.key()), cell.key() | lost) for cell in cells]
+
+
+def _say_progress(done: int, n: int, scene: SceneKey, begun: float) -> None:
+    _say(f"{done}/{n} scenes, {time.perf_counter() - begun:.0f} s, last {scene}")
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()

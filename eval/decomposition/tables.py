@@ -1,0 +1,228 @@
+"""Tables of cells: run them, compare with what was published, write CSV and pictures."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from eval.decomposition.cells import Cell, RunKey, SceneKey
+from eval.decomposition.statistics import (
+    Claim,
+    claims_between,
+    group,
+    grouped,
+    share_that_holds,
+)
+from eval.decomposition.store import RESULTS, STORE, Row, run_cells
+
+# What the sources call the filters of mocap.filters.FILTERS. XN's "APF" anneals part after part, its "PFAPF" the whole.
+LABELS = {
+    "sir": "PF",
+    "apf": "PFAPF",
+    "ps": "PS",
+    "parallel-ps": "parallel PS",
+    "sbps": "SBPS",
+    "psapf": "APF",
+    "sbapf": "SBAPF",
+    "pfcr": "PFCR",
+    "pso": "PSO",
+    "hpso": "HPSO",
+    "apsopf": "APSOPF",
+    "chapsopf": "CHAPSOPF",
+    "hapsopf": "HAPSOPF",
+}
+
+_QUICK_FRAMES = 150  # both weak and strong motion
+
+Printed = dict[tuple[str, ...], tuple[float, float]]
+Pairs = Callable[[tuple[str, ...]], Iterable[tuple[str, str, float]]]
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Which scenes and which runs on each; how many processes; everything or a sample; n_frames 0 = all."""
+
+    scenes: tuple[int, ...]
+    runs: tuple[int, ...]
+    n_workers: int
+    is_full: bool
+    n_frames: int = 0
+
+    def cells(self, scene: SceneKey, run: RunKey) -> list[Cell]:
+        """A cell for every seed."""
+        return [
+            Cell(replace(scene, seed=s, n_frames=self.n_frames), replace(run, seed=r))
+            for s in self.scenes
+            for r in self.runs
+        ]
+
+
+def parse_seeds(description: str, argv: Sequence[str] | None = None) -> Seeds:
+    """The command line of all scripts: --quick (default), --full, --workers, --scenes, --runs."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="a sample of the cells, half the frames (default)"
+    )
+    parser.add_argument("--full", action="store_true", help="all cells, all frames, 20 runs each")
+    parser.add_argument("--scenes", type=int, help="scenes per cell (3, with --full 5)")
+    parser.add_argument("--runs", type=int, help="runs per scene (2, with --full 4)")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    args = parser.parse_args(argv)
+    scenes, runs, frames = (5, 4, 0) if args.full else (3, 2, _QUICK_FRAMES)
+    return Seeds(
+        scenes=tuple(range(args.scenes or scenes)),
+        runs=tuple(range(args.runs or runs)),
+        n_workers=args.workers,
+        is_full=args.full,
+        n_frames=frames,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A table or figure of a source.
+
+    cell_fields : CSV fields that tell its cells apart (the rest is averaged).  name_of : what a row's method is called.
+    published : (*cell, method) -> error px and its standard deviation (NaN: not printed).
+    pairs : (better, worse, published ratio) that the source claims in a cell.
+    x : the cell field along the picture's axis; None for no picture.
+    """
+
+    name: str
+    cells: Sequence[Cell]
+    cell_fields: tuple[str, ...]
+    pairs: Pairs
+    published: Printed
+    name_of: Callable[[Row], str] = lambda row: LABELS[row["filter"]]
+    x: str | None = None
+
+
+RESULT_FIELDS = (
+    "table",
+    "cell",
+    "method",
+    "runs",
+    "failed",
+    "error_px",
+    "std_px",
+    "std_in_scene_px",
+    "published_px",
+    "published_std_px",
+    "evaluations",
+    "resampling_ms",
+    "swapping_ms",
+    "step_ms",
+    "weak_px",
+    "strong_px",
+)
+CLAIM_FIELDS = ("table", "cell", "better", "worse", "published", "ratio", "low", "high", "runs", "verdict")
+
+
+def run_tables(name: str, tables: Sequence[Table], seeds: Seeds, *, store: Path = STORE) -> list[Claim]:
+    """Compute what is missing, then write eval/results/decomposition_NAME.csv, ..._ranking.csv and the picture."""
+    cells = [cell for table in tables for cell in table.cells]
+    rows = dict(zip(cells, run_cells(cells, n_workers=seeds.n_workers, path=store), strict=True))
+    lines: list[dict[str, str]] = []
+    claims: list[Claim] = []
+    for table in tables:
+        own = [rows[cell] for cell in dict.fromkeys(table.cells)]
+        lines += result_lines(table, own)
+        claims += claims_between(
+            table.name, own, cell_fields=table.cell_fields, pairs=table.pairs, name_of=table.name_of
+        )
+    write_csv(RESULTS / f"decomposition_{name}.csv", RESULT_FIELDS, lines)
+    write_csv(RESULTS / f"decomposition_{name}_ranking.csv", CLAIM_FIELDS, map(claim_line, claims))
+    return claims
+
+
+def result_lines(table: Table, rows: Sequence[Row]) -> list[dict[str, str]]:
+    """One line per cell and method."""
+    lines = []
+    for cell, in_cell in grouped(rows, *table.cell_fields).items():
+        by_method: dict[str, list[Row]] = {}
+        for row in in_cell:
+            by_method.setdefault(table.name_of(row), []).append(row)
+        for method, own in by_method.items():
+            g = group(own)
+            published, published_std = table.published.get((*cell, method), (float("nan"), float("nan")))
+            line = {
+                "table": table.name,
+                "cell": ", ".join(f"{f}={v}" for f, v in zip(table.cell_fields, cell, strict=True)),
+                "method": method,
+                "runs": str(g.n),
+                "failed": str(g.n_failed),
+                "error_px": _number(g.mean, 1),
+                "std_px": _number(g.std, 1),
+                "std_in_scene_px": _number(g.std_in_scene, 1),
+                "published_px": _number(published, 0),
+                "published_std_px": _number(published_std, 0),
+                "evaluations": _number(g.evaluations, 0),
+                "resampling_ms": _number(g.resampling_ms, 3),
+                "swapping_ms": _number(g.swapping_ms, 3),
+                "step_ms": _number(g.step_ms, 2),
+                "weak_px": _number(_mean(own, "error_weak_px"), 1),
+                "strong_px": _number(_mean(own, "error_strong_px"), 1),
+            }
+            lines.append(line)
+    return lines
+
+
+def _mean(rows: Sequence[Row], field: str) -> float:
+    found = [float(r[field]) for r in rows if r["status"] == "ok" and r[field]]
+    return float(np.mean(found)) if found else float("nan")
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else ""
+
+
+def claim_line(claim: Claim) -> dict[str, str]:
+    """A claim as a CSV line."""
+    return {
+        "table": claim.source,
+        "cell": claim.cell,
+        "better": claim.better,
+        "worse": claim.worse,
+        "published": _number(claim.published, 3),
+        "ratio": _number(claim.ours.ratio, 3),
+        "low": _number(claim.ours.low, 3),
+        "high": _number(claim.ours.high, 3),
+        "runs": str(claim.ours.n),
+        "verdict": claim.ours.verdict if claim.ours.n else "none",
+    }
+
+
+def write_csv(path: Path, names: Sequence[str], lines: Iterable[dict[str, str]]) -> None:
+    """A CSV with a header."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, names, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(lines)
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Lines of a CSV; none when there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def summary(claims: Sequence[Claim]) -> str:
+    """How many of the claimed orders hold, by table, in words."""
+    by_table: dict[str, list[Claim]] = {}
+    for claim in claims:
+        by_table.setdefault(claim.source, []).append(claim)
+    lines = []
+    for name, own in by_table.items():
+        n, holds, yes, no = share_that_holds(own)
+        lines.append(f"{name}: {holds} of {n} orders hold ({yes} decided, {no} decided against)")
+    return "\n".join(lines)

@@ -1,0 +1,526 @@
+"""The marker likelihood as compiled code; the honest twin is `markers.marker_scores_numpy`.
+
+Measured: what depends on the detections alone is done once per frame. The symmetric epipolar distance of every pair of
+detections stands in a table, and every cell of a coarse grid over a picture lists the few detections that can be the
+closest one to a point in it, in blocks of four so that the search seldom branches on the data (12 us per evaluation
+with plain loops, a third of it mispredicted branches).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from mocap.body._kernels import forward_kinematics
+
+_BLOCK = 4
+_SLIP_ROUNDS = 4
+OUT_OF_REACH_PX = 1e150  # its square does not overflow, and no gate reaches it
+
+
+@njit(cache=True, nogil=True)
+def epipolar_table(F, is_pair, uv, first, table):
+    """Squared symmetric epipolar distance (px^2) of detections q, r of views i < j into table[q, r]; -1 for a pair of
+    views without epipolar geometry.
+
+    F : (C, C, 3, 3), a point of view i times F[i, j] is its line in view j.  is_pair : (C, C) bool.  uv : (Q, 2).
+    first : (C + 1,).
+    """
+    n_views = first.shape[0] - 1
+    Q = first[n_views]
+    to_j = np.empty((Q, 3))
+    to_i = np.empty((Q, 3))
+    for i in range(n_views):
+        for j in range(i + 1, n_views):
+            if not is_pair[i, j]:
+                table[first[i] : first[i + 1], first[j] : first[j + 1]] = -1.0
+                continue
+            for a, b, lines in ((i, j, to_j), (j, i, to_i)):
+                G = F[a, b]
+                for q in range(first[a], first[a + 1]):
+                    u = uv[q, 0]
+                    v = uv[q, 1]
+                    l0 = G[0, 0] * u + G[0, 1] * v + G[0, 2]
+                    l1 = G[1, 0] * u + G[1, 1] * v + G[1, 2]
+                    l2 = G[2, 0] * u + G[2, 1] * v + G[2, 2]
+                    s = 1.0 / max(math.sqrt(l0 * l0 + l1 * l1), 1e-300)
+                    lines[q, 0] = l0 * s
+                    lines[q, 1] = l1 * s
+                    lines[q, 2] = l2 * s
+            for q in range(first[i], first[i + 1]):
+                u = uv[q, 0]
+                v = uv[q, 1]
+                for r in range(first[j], first[j + 1]):
+                    in_j = to_j[q, 0] * uv[r, 0] + to_j[q, 1] * uv[r, 1] + to_j[q, 2]
+                    in_i = to_i[r, 0] * u + to_i[r, 1] * v + to_i[r, 2]
+                    table[q, r] = in_j * in_j + in_i * in_i
+
+
+@njit(cache=True, nogil=True)
+def closest_cells(uv, first, lower, n_cells, cell_first, side, gate, start, stop):
+    """For every cell of every view the detections that may be the closest one, within the gate, to a point in it.
+
+    uv : (Q, 2).  lower : (C, 2) px, corner of cell (0, 0).  n_cells : (C, 2) columns and rows.  cell_first : (C + 1,).
+    side : px.  Fills start, stop (cells + 1,) and returns member: cell k lists member[start[k] : stop[k]], a multiple
+    of four of ascending indices, padded with Q. Empty cells, and the last one, share the first four.
+    """
+    n_views = first.shape[0] - 1
+    Q = first[n_views]
+    n_all = cell_first[n_views]
+    # The nearest far corner of any detection: what is further than it can be in a cell is never the closest there.
+    reach = np.full(n_all, np.inf)
+    count = np.zeros(n_all, np.int64)
+    member = np.full(_BLOCK, Q).astype(np.uint32)
+    for step in range(3):
+        for c in range(n_views):
+            nx = n_cells[c, 0]
+            ny = n_cells[c, 1]
+            for q in range(first[c], first[c + 1]):
+                x0 = max(0, int(math.floor((uv[q, 0] - gate - lower[c, 0]) / side)))
+                x1 = min(nx - 1, int(math.floor((uv[q, 0] + gate - lower[c, 0]) / side)))
+                y0 = max(0, int(math.floor((uv[q, 1] - gate - lower[c, 1]) / side)))
+                y1 = min(ny - 1, int(math.floor((uv[q, 1] + gate - lower[c, 1]) / side)))
+                for y in range(y0, y1 + 1):
+                    low_v = lower[c, 1] + y * side - uv[q, 1]
+                    far_v = max(abs(low_v), abs(low_v + side))
+                    near_v = max(0.0, max(low_v, -low_v - side))
+                    for x in range(x0, x1 + 1):
+                        low_u = lower[c, 0] + x * side - uv[q, 0]
+                        near_u = max(0.0, max(low_u, -low_u - side))
+                        near = near_u * near_u + near_v * near_v
+                        if near > gate * gate:
+                            continue
+                        k = cell_first[c] + y * nx + x
+                        if step == 0:
+                            far_u = max(abs(low_u), abs(low_u + side))
+                            reach[k] = min(reach[k], far_u * far_u + far_v * far_v)
+                        elif near <= reach[k]:
+                            if step == 2:
+                                member[start[k] + count[k]] = q
+                            count[k] += 1
+        if step == 1:
+            size = _BLOCK
+            for k in range(n_all):
+                n = (count[k] + _BLOCK - 1) // _BLOCK * _BLOCK
+                start[k] = size if n > 0 else 0
+                stop[k] = size + n if n > 0 else _BLOCK
+                size += n
+                count[k] = 0
+            start[n_all] = 0
+            stop[n_all] = _BLOCK
+            member = np.full(size, Q).astype(np.uint32)
+    return member
+
+
+@njit(cache=True, nogil=True)
+def marker_scores_kernel(
+    states,
+    parent,
+    offset,
+    dof_joint,
+    dof_axis,
+    dof_column,
+    marker_joint,
+    marker_offset,
+    P,
+    lower,
+    upper,
+    uv,
+    first,
+    table,
+    n_cells,
+    cell_first,
+    side,
+    start,
+    stop,
+    member,
+    gate,
+    reprojection_weight,
+    scores,
+):
+    """Score s_m in [0, 1] of every marker for every state, scores (N, M); 0 = fits, 1 = nothing fits.
+
+    uv : (Q + 1, 2), the last one out of reach of everything.
+    """
+    n_views = P.shape[0]
+    n_markers = marker_joint.shape[0]
+    gate_2 = gate * gate
+    # Two detections inside their gates lie at most about two gates from each other's epipolar lines, in both views.
+    epipolar_scale = 1.0 / (8.0 * gate_2)
+    per_cell = 1.0 / side
+    n_all = cell_first[n_views]
+    J = parent.shape[0]
+    R = np.empty((J, 3, 3))
+    t = np.empty((J, 3))
+    x = np.empty(n_markers)
+    y = np.empty(n_markers)
+    z = np.empty(n_markers)
+    u = np.empty(n_markers)
+    v = np.empty(n_markers)
+    cell = np.empty(n_markers, np.int64)
+    is_seen = np.empty(n_markers)
+    far = np.empty(n_markers)
+    n_seen = np.empty(n_markers)
+    n_hits = np.empty(n_markers, np.int64)
+    chosen = np.empty((n_markers, n_views + 1), np.uint64)
+    for n in range(states.shape[0]):
+        forward_kinematics(states[n], parent, offset, dof_joint, dof_axis, dof_column, R, t)
+        for m in range(n_markers):
+            j = marker_joint[m]
+            o0 = marker_offset[m, 0]
+            o1 = marker_offset[m, 1]
+            o2 = marker_offset[m, 2]
+            x[m] = R[j, 0, 0] * o0 + R[j, 0, 1] * o1 + R[j, 0, 2] * o2 + t[j, 0]
+            y[m] = R[j, 1, 0] * o0 + R[j, 1, 1] * o1 + R[j, 1, 2] * o2 + t[j, 1]
+            z[m] = R[j, 2, 0] * o0 + R[j, 2, 1] * o1 + R[j, 2, 2] * o2 + t[j, 2]
+            far[m] = 0.0
+            n_seen[m] = 0.0
+            n_hits[m] = 0
+        for c in range(n_views):
+            p00, p01, p02, p03 = P[c, 0, 0], P[c, 0, 1], P[c, 0, 2], P[c, 0, 3]
+            p10, p11, p12, p13 = P[c, 1, 0], P[c, 1, 1], P[c, 1, 2], P[c, 1, 3]
+            p20, p21, p22, p23 = P[c, 2, 0], P[c, 2, 1], P[c, 2, 2], P[c, 2, 3]
+            u0, v0, u1, v1 = lower[c, 0], lower[c, 1], upper[c, 0], upper[c, 1]
+            row = n_cells[c, 0]
+            cell_0 = cell_first[c]
+            for m in range(n_markers):
+                s = 1.0 / (p20 * x[m] + p21 * y[m] + p22 * z[m] + p23)
+                um = (p00 * x[m] + p01 * y[m] + p02 * z[m] + p03) * s
+                vm = (p10 * x[m] + p11 * y[m] + p12 * z[m] + p13) * s
+                seen = (s > 0.0) & (s < 1e6) & (um >= u0) & (um <= u1) & (vm >= v0) & (vm <= v1)
+                column = np.int32((um - u0) * per_cell if seen else 0.0)
+                line = np.int32((vm - v0) * per_cell if seen else 0.0)
+                cell[m] = cell_0 + line * row + column if seen else n_all
+                is_seen[m] = 1.0 if seen else 0.0
+                n_seen[m] += is_seen[m]
+                u[m] = um if seen else 0.0
+                v[m] = vm if seen else 0.0
+            for m in range(n_markers):
+                best = np.uint64(0)
+                best_2 = gate_2
+                a = np.uint64(start[cell[m]])
+                b = np.uint64(stop[cell[m]])
+                while a < b:
+                    for _ in range(_BLOCK):
+                        q = np.uint64(member[a])
+                        du = u[m] - uv[q, 0]
+                        dv = v[m] - uv[q, 1]
+                        d = du * du + dv * dv
+                        is_closer = d < best_2
+                        best = q if is_closer else best
+                        best_2 = d if is_closer else best_2
+                        a += np.uint64(1)
+                far[m] += best_2 * is_seen[m]
+                chosen[m, n_hits[m]] = best
+                n_hits[m] += best_2 < gate_2
+        for m in range(n_markers):
+            epipolar = 1.0
+            if reprojection_weight < 1.0:
+                total = 0.0
+                n_pairs = 0
+                for a in range(np.uint64(n_hits[m])):
+                    q = chosen[m, a]
+                    for b in range(a + np.uint64(1), np.uint64(n_hits[m])):
+                        d = table[q, chosen[m, b]]
+                        if d >= 0.0:
+                            total += d
+                            n_pairs += 1
+                if n_pairs > 0:
+                    epipolar = min(1.0, math.sqrt(total / n_pairs * epipolar_scale))
+            reprojection = 1.0
+            if n_seen[m] > 0.0:
+                reprojection = math.sqrt(far[m] / (n_seen[m] * gate_2))
+            scores[n, m] = (1.0 - reprojection_weight) * epipolar + reprojection_weight * reprojection
+
+
+@njit(cache=True, nogil=True)
+def project_markers(points, P, lower, upper, projected, depth, in_view):
+    """Fill projected (M, C, 2) px, depth (M, C) m and in_view (M, C) bool of points (M, 3) m."""
+    for m in range(points.shape[0]):
+        x, y, z = points[m]
+        for c in range(P.shape[0]):
+            w = P[c, 2, 0] * x + P[c, 2, 1] * y + P[c, 2, 2] * z + P[c, 2, 3]
+            depth[m, c] = w
+            in_view[m, c] = False
+            if not w > 1e-6:
+                continue
+            u = (P[c, 0, 0] * x + P[c, 0, 1] * y + P[c, 0, 2] * z + P[c, 0, 3]) / w
+            v = (P[c, 1, 0] * x + P[c, 1, 1] * y + P[c, 1, 2] * z + P[c, 1, 3]) / w
+            projected[m, c, 0] = u
+            projected[m, c, 1] = v
+            in_view[m, c] = u >= lower[c, 0] and u <= upper[c, 0] and v >= lower[c, 1] and v <= upper[c, 1]
+
+
+@njit(cache=True, nogil=True)
+def nearest_detections(projected, in_view, uv, first, gate, chosen):
+    """Fill chosen (M, C): the closest detection within gate (M, C) px, -1 = none; one detection serves one marker,
+    the one that is closest to it."""
+    n_markers, n_views = in_view.shape
+    owner = np.full(uv.shape[0], -1)
+    owner_2 = np.empty(uv.shape[0])
+    for c in range(n_views):
+        for m in range(n_markers):
+            chosen[m, c] = -1
+            if not in_view[m, c]:
+                continue
+            best = -1
+            best_2 = gate[m, c] * gate[m, c]
+            for q in range(first[c], first[c + 1]):
+                du = projected[m, c, 0] - uv[q, 0]
+                dv = projected[m, c, 1] - uv[q, 1]
+                d = du * du + dv * dv
+                if d < best_2:
+                    best = q
+                    best_2 = d
+            if best >= 0 and (owner[best] < 0 or best_2 < owner_2[best]):
+                if owner[best] >= 0:
+                    chosen[owner[best], c] = -1
+                owner[best] = m
+                owner_2[best] = best_2
+                chosen[m, c] = best
+
+
+@njit(cache=True, nogil=True)
+def _two_view_point(P_a, ua, va, P_b, ub, vb, x):
+    """Least-squares point of two detections into x (3,); False when their rays are parallel."""
+    N = np.zeros((3, 3))
+    h = np.zeros(3)
+    for k in range(4):
+        P = P_a if k < 2 else P_b
+        at = (ua, va, ub, vb)[k]
+        row = k % 2
+        r0 = P[row, 0] - at * P[2, 0]
+        r1 = P[row, 1] - at * P[2, 1]
+        r2 = P[row, 2] - at * P[2, 2]
+        b = -(P[row, 3] - at * P[2, 3])
+        N[0, 0] += r0 * r0
+        N[0, 1] += r0 * r1
+        N[0, 2] += r0 * r2
+        N[1, 1] += r1 * r1
+        N[1, 2] += r1 * r2
+        N[2, 2] += r2 * r2
+        h[0] += r0 * b
+        h[1] += r1 * b
+        h[2] += r2 * b
+    N[1, 0] = N[0, 1]
+    N[2, 0] = N[0, 2]
+    N[2, 1] = N[1, 2]
+    return _solve3(N, h, x)
+
+
+@njit(cache=True, nogil=True)
+def _solve3(N, h, x):
+    """x = N^-1 h of a symmetric N by cofactors; False when N is singular."""
+    c00 = N[1, 1] * N[2, 2] - N[1, 2] * N[2, 1]
+    c01 = N[1, 2] * N[2, 0] - N[1, 0] * N[2, 2]
+    c02 = N[1, 0] * N[2, 1] - N[1, 1] * N[2, 0]
+    det = N[0, 0] * c00 + N[0, 1] * c01 + N[0, 2] * c02
+    scale = N[0, 0] * N[1, 1] * N[2, 2]
+    if not abs(det) > 1e-9 * abs(scale):
+        return False
+    # N is symmetric, and so is its inverse.
+    c11 = N[0, 0] * N[2, 2] - N[0, 2] * N[2, 0]
+    c12 = N[0, 2] * N[1, 0] - N[0, 0] * N[1, 2]
+    c22 = N[0, 0] * N[1, 1] - N[0, 1] * N[1, 0]
+    x[0] = (c00 * h[0] + c01 * h[1] + c02 * h[2]) / det
+    x[1] = (c01 * h[0] + c11 * h[1] + c12 * h[2]) / det
+    x[2] = (c02 * h[0] + c12 * h[1] + c22 * h[2]) / det
+    return True
+
+
+@njit(cache=True, nogil=True)
+def agreeing_detections(
+    points, std_m, in_view, projected, gate, P, is_pair, uv, first, noise_px, worth, chosen
+):
+    """Fill chosen (M, C): detections that agree on one point near the predicted marker, -1 = none.
+
+    points : (M, 3) m, predicted.  std_m : (M,) how far off the prediction may be.  gate : (M, C) px around its
+    projection.  worth : (C,) nats that a detection exactly on the point is worth against clutter.
+    Every two detections inside the gates propose a point. Its score is the worth of all views' detections less half
+    their squared errors, less half the squared distance to the prediction, in standard deviations; the best point
+    with a positive score and two views or more is taken.
+    """
+    n_markers, n_views = in_view.shape
+    inverse_2 = 1.0 / (noise_px * noise_px)
+    x = np.empty(3)
+    near = np.empty(uv.shape[0], np.int64)
+    near_first = np.empty(n_views + 1, np.int64)
+    trial = np.empty(n_views, np.int64)
+    owner = np.full(uv.shape[0], -1)
+    score = np.zeros(n_markers)
+    for m in range(n_markers):
+        n = 0
+        for c in range(n_views):
+            near_first[c] = n
+            chosen[m, c] = -1
+            if not in_view[m, c]:
+                continue
+            for q in range(first[c], first[c + 1]):
+                du = projected[m, c, 0] - uv[q, 0]
+                dv = projected[m, c, 1] - uv[q, 1]
+                if du * du + dv * dv < gate[m, c] * gate[m, c]:
+                    near[n] = q
+                    n += 1
+        near_first[n_views] = n
+        for i in range(n_views):
+            for j in range(i + 1, n_views):
+                if not is_pair[i, j]:
+                    continue
+                for a in range(near_first[i], near_first[i + 1]):
+                    for b in range(near_first[j], near_first[j + 1]):
+                        q = near[a]
+                        r = near[b]
+                        if not _two_view_point(P[i], uv[q, 0], uv[q, 1], P[j], uv[r, 0], uv[r, 1], x):
+                            continue
+                        d_2 = 0.0
+                        for k in range(3):
+                            d_2 += (x[k] - points[m, k]) ** 2
+                        total = -0.5 * d_2 / (std_m[m] * std_m[m])
+                        if total < -4.5:
+                            continue
+                        n_agree = 0
+                        for c in range(n_views):
+                            trial[c] = -1
+                            if near_first[c] == near_first[c + 1]:
+                                continue
+                            w = P[c, 2, 0] * x[0] + P[c, 2, 1] * x[1] + P[c, 2, 2] * x[2] + P[c, 2, 3]
+                            if not w > 1e-6:
+                                continue
+                            u = (P[c, 0, 0] * x[0] + P[c, 0, 1] * x[1] + P[c, 0, 2] * x[2] + P[c, 0, 3]) / w
+                            v = (P[c, 1, 0] * x[0] + P[c, 1, 1] * x[1] + P[c, 1, 2] * x[2] + P[c, 1, 3]) / w
+                            best = worth[c]
+                            for e in range(near_first[c], near_first[c + 1]):
+                                du = u - uv[near[e], 0]
+                                dv = v - uv[near[e], 1]
+                                half = 0.5 * (du * du + dv * dv) * inverse_2
+                                if half < best:
+                                    best = half
+                                    trial[c] = near[e]
+                            if trial[c] >= 0:
+                                total += worth[c] - best
+                                n_agree += 1
+                        if n_agree >= 2 and total > score[m]:
+                            score[m] = total
+                            for c in range(n_views):
+                                chosen[m, c] = trial[c]
+    # A detection serves one marker: the one whose point has more behind it.
+    for m in range(n_markers):
+        for c in range(n_views):
+            q = chosen[m, c]
+            if q < 0:
+                continue
+            if owner[q] < 0:
+                owner[q] = m
+            elif score[m] > score[owner[q]]:
+                chosen[owner[q], c] = -1
+                owner[q] = m
+            else:
+                chosen[m, c] = -1
+
+
+@njit(cache=True, nogil=True)
+def marker_pulls(slack_m, noise_px, P, uv, in_view, chosen, projected, depth, scale, information, gradient):
+    """Robust cost of the chosen detections, and its matrix (M, 3, 3) and gradient (M, 3) at every marker's point.
+
+    scale : error in standard deviations at which a detection loses three quarters of its pull (Geman-McClure); a
+    marker in view without a detection costs the limit of that, scale^2 / 2. A marker slips against its part by a
+    Gaussian displacement of standard deviation slack_m (M,), the same in all views: the most likely slip counts.
+    """
+    A = np.empty((3, 3))
+    S = np.empty((3, 3))
+    b = np.empty(3)
+    x = np.empty(3)
+    slip = np.empty(3)
+    J = np.empty((2, 3))
+    inverse_2 = 1.0 / (noise_px * noise_px)
+    scale_2 = scale * scale
+    cost = 0.0
+    for m in range(slack_m.shape[0]):
+        s_2 = slack_m[m] * slack_m[m]
+        information[m] = 0.0
+        gradient[m] = 0.0
+        n_seen = 0
+        for c in range(P.shape[0]):
+            if in_view[m, c] and chosen[m, c] < 0:
+                cost += 0.5 * scale_2
+            elif in_view[m, c]:
+                n_seen += 1
+        if n_seen == 0:
+            continue
+        slip[:] = 0.0
+        own = 0.0
+        for _ in range(_SLIP_ROUNDS if s_2 > 0.0 else 1):
+            A[:] = 0.0
+            b[:] = 0.0
+            own = 0.0
+            for c in range(P.shape[0]):
+                if not in_view[m, c] or chosen[m, c] < 0:
+                    continue
+                q = chosen[m, c]
+                error_2 = 0.0
+                for k in range(2):
+                    residual = projected[m, c, k] - uv[q, k]
+                    for r in range(3):
+                        J[k, r] = (P[c, k, r] - projected[m, c, k] * P[c, 2, r]) / depth[m, c]
+                        residual += J[k, r] * slip[r]
+                    error_2 += residual * residual * inverse_2
+                share = scale_2 / (scale_2 + error_2)
+                own += 0.5 * scale_2 * (1.0 - share)
+                weight = share * share * inverse_2
+                for k in range(2):
+                    residual = projected[m, c, k] - uv[q, k]
+                    for r in range(3):
+                        b[r] += weight * J[k, r] * residual
+                        for e in range(3):
+                            A[r, e] += weight * J[k, r] * J[k, e]
+            # S = I + s^2 A; with the slip integrated out, S^-1 A is the point's information and S^-1 b its gradient.
+            for r in range(3):
+                if s_2 > 0.0:
+                    own += 0.5 * slip[r] * slip[r] / s_2
+                for e in range(3):
+                    S[r, e] = (1.0 if r == e else 0.0) + s_2 * A[r, e]
+            _solve3(S, b, gradient[m])
+            for r in range(3):
+                slip[r] = -s_2 * gradient[m, r]
+        cost += own
+        for e in range(3):
+            _solve3(S, A[e], x)
+            for r in range(3):
+                information[m, r, e] = x[r]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def add_pulls(points, joint, information, gradient, t, axes, dof_joint, dof_column, moves, H, g):
+    """Carry information (K, 3, 3) and gradient (K, 3) at points (K, 3), rigid with joints, over to the state."""
+    n_dofs = dof_joint.shape[0]
+    columns = np.empty(n_dofs + 3, np.int64)
+    V = np.empty((n_dofs + 3, 3))
+    for m in range(points.shape[0]):
+        A = information[m]
+        k = 0
+        for r in range(3):
+            columns[k] = r
+            for e in range(3):
+                V[k, e] = 1.0 if r == e else 0.0
+            k += 1
+        for d in range(n_dofs):
+            if not moves[joint[m], d]:
+                continue
+            rx = points[m, 0] - t[dof_joint[d], 0]
+            ry = points[m, 1] - t[dof_joint[d], 1]
+            rz = points[m, 2] - t[dof_joint[d], 2]
+            V[k, 0] = axes[d, 1] * rz - axes[d, 2] * ry
+            V[k, 1] = axes[d, 2] * rx - axes[d, 0] * rz
+            V[k, 2] = axes[d, 0] * ry - axes[d, 1] * rx
+            columns[k] = dof_column[d]
+            k += 1
+        for a in range(k):
+            g[columns[a]] += V[a, 0] * gradient[m, 0] + V[a, 1] * gradient[m, 1] + V[a, 2] * gradient[m, 2]
+            w0 = A[0, 0] * V[a, 0] + A[0, 1] * V[a, 1] + A[0, 2] * V[a, 2]
+            w1 = A[1, 0] * V[a, 0] + A[1, 1] * V[a, 1] + A[1, 2] * V[a, 2]
+            w2 = A[2, 0] * V[a, 0] + A[2, 1] * V[a, 1] + A[2, 2] * V[a, 2]
+            for e in range(k):
+                H[columns[a], columns[e]] += V[e, 0] * w0 + V[e, 1] * w1 + V[e, 2] * w2

@@ -1,0 +1,142 @@
+"""Files for other tools from a finished run, without running it again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from mocap.body import skeleton_of
+from mocap.data import Hull
+from mocap.errors import MocapError
+from mocap.io import export
+from mocap.io._files import writing
+from mocap.io.export import voxels
+from mocap.io.store import StageStore
+from mocap.pipeline.stages import hull_from_arrays, stored_grid, stored_poses
+
+Progress = Callable[[str, int, int], None]
+Frames = tuple[int | None, int | None]
+
+# What can be exported -> formats, the first by default.
+EXPORTS: dict[str, tuple[str, ...]] = {
+    "voxels": ("ply", "npz", "glb"),
+    "motion": ("bvh", "trc", "c3d", "glb"),
+}
+
+
+def export_run(
+    out: Path,
+    folder: Path,
+    *,
+    what: str,
+    format: str | None = None,
+    frames: Frames | None = None,
+    cubes: bool = False,
+    progress: Progress | None = None,
+) -> list[Path]:
+    """Write voxels or motion of the run in `out` into `folder`; returns the files.
+
+    what, format : see EXPORTS; format None = the first one.  frames : (start, stop) in frames of the session, either
+    may be None. Motion holds the frames that a person was followed in.  cubes : voxels in PLY as coloured faces.
+    Raises MocapError for an unknown kind or format, a folder without such a result, or a range without frames.
+    """
+    if what not in EXPORTS:
+        raise MocapError(f"nothing named {what!r} can be exported", remedy=f"use one of {', '.join(EXPORTS)}")
+    chosen = EXPORTS[what][0] if format is None else format
+    if chosen not in EXPORTS[what]:
+        raise MocapError(
+            f"{what} cannot be written as {chosen!r}", remedy=f"use one of {', '.join(EXPORTS[what])}"
+        )
+    if not (out / "store.zarr").is_dir():
+        raise MocapError(
+            "the folder holds no result of a run",
+            path=out / "store.zarr",
+            remedy="run `mocap run SESSION -o OUT` first",
+        )
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    store = StageStore(out / "store.zarr")
+    tick: Progress = progress or (lambda stage, done, total: None)
+    if what == "voxels":
+        return _export_voxels(store, folder, chosen, frames, cubes, tick)
+    return _export_motion(store, folder, chosen, frames, _fps_of_run(out), tick)
+
+
+def _export_voxels(
+    store: StageStore, folder: Path, format: str, frames: Frames | None, cubes: bool, progress: Progress
+) -> list[Path]:
+    """One file per frame, voxels_000012.ply."""
+    reader, grid = store.reader("carve"), stored_grid(store)
+    chosen = [int(f) for f in reader.frames if _is_in(int(f), frames)]
+    if not chosen:
+        raise _no_frames(frames, int(reader.frames[0]), int(reader.frames[-1]))
+    write: dict[str, Callable[[Path, Hull], None]] = {
+        "ply": lambda path, hull: voxels.write_voxels_ply(path, hull, cubes=cubes),
+        "npz": voxels.write_voxels_npz,
+        "glb": voxels.write_voxels_glb,
+    }
+    written = []
+    for i, frame in enumerate(chosen):
+        path = folder / f"voxels_{frame:06d}.{format}"
+        write[format](path, hull_from_arrays(grid, reader.read(frame)))
+        written.append(path)
+        progress("export", i + 1, len(chosen))
+    return written
+
+
+def _export_motion(
+    store: StageStore, folder: Path, format: str, frames: Frames | None, fps: float, progress: Progress
+) -> list[Path]:
+    """One file per person, person_1.bvh."""
+    from mocap.pipeline.run import motion_of
+
+    people = stored_poses(store)
+    written = []
+    for i, poses in enumerate(people):
+        keep = np.array([_is_in(int(f), frames) for f in poses.frames], dtype=np.bool_)
+        if not keep.any():
+            continue
+        path = folder / f"person_{poses.person}.{format}"
+        if format in ("bvh", "glb"):
+            skeleton = skeleton_of(poses.body, poses.states[keep], poses.person)
+            (export.write_bvh if format == "bvh" else export.write_glb)(path, skeleton, fps)
+        else:
+            motion = motion_of(poses, fps)
+            motion = type(motion)(
+                motion.person, motion.frames[keep], motion.time_s[keep], motion.landmarks[keep]
+            )
+            (export.write_trc if format == "trc" else export.write_c3d)(path, motion, fps)
+        written.append(path)
+        progress("export", i + 1, len(people))
+    if not written:
+        seen = np.concatenate([p.frames for p in people]) if people else np.zeros(0, dtype=np.int64)
+        if len(seen) == 0:
+            raise MocapError("the run has found no person", remedy="look at its report.html")
+        raise _no_frames(frames, int(seen.min()), int(seen.max()))
+    return written
+
+
+def _is_in(frame: int, frames: Frames | None) -> bool:
+    start, stop = frames or (None, None)
+    return (start is None or frame >= start) and (stop is None or frame < stop)
+
+
+def _no_frames(frames: Frames | None, first: int, last: int) -> MocapError:
+    return MocapError(
+        f"no frame lies in the range {frames}",
+        remedy=f"the result holds frames {first} to {last}; write --frames {first}:{last + 1}",
+    )
+
+
+def _fps_of_run(out: Path) -> float:
+    try:
+        return float(json.loads((out / "run.json").read_text(encoding="utf-8"))["fps"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise MocapError(
+            "the frame rate of the run is not known",
+            path=out / "run.json",
+            remedy="run `mocap run SESSION -o OUT` to its end",
+        ) from error

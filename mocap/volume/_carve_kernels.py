@@ -1,0 +1,560 @@
+"""Compiled loops of the carver. Arrays and scalars only; each has a numpy twin in the tests.
+
+Blocks of voxels of one size are numbered in C order over the grid. Inside a block of 16 the 64 blocks of 4 are
+numbered (x * 4 + y) * 4 + z, its 8 blocks of 8 (x * 2 + y) * 2 + z, and the 64 voxels of a block of 4 again
+(x * 4 + y) * 4 + z. Camera sets are bit sets in int64. Gather indices are cast to uint64: a signed index would
+make the compiler emit a wrap-around test per access.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+DROP, KEEP, DESCEND = 0, 1, 2
+TIE_PX = 1e-7  # values this close below a rounding tie count as the tie; see carve.nearest_pixel
+MIN_DEPTH_M = 1e-6
+MARGIN_PX = 0.01  # by which enclosing boxes are widened against rounding errors
+N_PARAMETERS = 26
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pinhole_pixels(xs, ys, zs, p, width, height, out):
+    """Flat pixel index (v * width + u) of n points in one camera; -1 outside its view.
+
+    xs, ys, zs : (n,) m, world.  p : (26,) R row by row, t, fx, fy, cx, cy, k1 k2 p1 p2 k3 k4 k5 k6, limit of the
+    normalised radius, fisheye; see carve.camera_parameters.
+    Everything is computed for every point and chosen at the end: without branches, and with coordinates apart,
+    the compiler works on several points at once.
+    """
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]
+    tx, ty, tz, fx, fy, cx, cy = p[9], p[10], p[11], p[12], p[13], p[14], p[15]
+    k1, k2, p1, p2, k3, k4, k5, k6 = p[16], p[17], p[18], p[19], p[20], p[21], p[22], p[23]
+    limit2 = p[24] * p[24]
+    w, h = np.float64(width), np.float64(height)
+    for i in range(xs.shape[0]):
+        x, y, z = xs[i], ys[i], zs[i]
+        c = r20 * x + r21 * y + r22 * z + tz
+        a = (r00 * x + r01 * y + r02 * z + tx) / c
+        b = (r10 * x + r11 * y + r12 * z + ty) / c
+        s = a * a + b * b
+        radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
+        ab2 = 2 * a * b
+        u = np.floor(fx * (a * radial + p1 * ab2 + p2 * (s + 2 * a * a)) + cx + (0.5 + TIE_PX))
+        v = np.floor(fy * (b * radial + p1 * (s + 2 * b * b) + p2 * ab2) + cy + (0.5 + TIE_PX))
+        inside = (c > MIN_DEPTH_M) & (s <= limit2) & (u >= 0) & (u < w) & (v >= 0) & (v < h)
+        out[i] = np.int32(v * w + u if inside else -1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fisheye_pixels(xs, ys, zs, p, width, height, out):
+    """As pinhole_pixels, for the fisheye model; the limit is an angle, rad."""
+    w, h = np.float64(width), np.float64(height)
+    for i in range(xs.shape[0]):
+        x, y, z = xs[i], ys[i], zs[i]
+        c = p[6] * x + p[7] * y + p[8] * z + p[11]
+        a = (p[0] * x + p[1] * y + p[2] * z + p[9]) / c
+        b = (p[3] * x + p[4] * y + p[5] * z + p[10]) / c
+        r = math.sqrt(a * a + b * b)
+        theta = math.atan(r)
+        t2 = theta * theta
+        bent = theta * (1 + t2 * (p[16] + t2 * (p[17] + t2 * (p[18] + t2 * p[19]))))
+        scale = bent / r if r > 1e-8 else 1.0
+        u = np.floor(p[12] * a * scale + p[14] + (0.5 + TIE_PX))
+        v = np.floor(p[13] * b * scale + p[15] + (0.5 + TIE_PX))
+        inside = (c > MIN_DEPTH_M) & (theta <= p[24]) & (u >= 0) & (u < w) & (v >= 0) & (v < h)
+        out[i] = np.int32(v * w + u if inside else -1.0)
+
+
+@njit(cache=True, nogil=True)
+def times(a0, a1, b0, b1):
+    """Interval product."""
+    w, x, y, z = a0 * b0, a0 * b1, a1 * b0, a1 * b1
+    return min(min(w, x), min(y, z)), max(max(w, x), max(y, z))
+
+
+@njit(cache=True, nogil=True)
+def square(a0, a1):
+    """Interval square."""
+    low, high = min(abs(a0), abs(a1)), max(abs(a0), abs(a1))
+    return (0.0 if a0 <= 0.0 <= a1 else low * low), high * high
+
+
+@njit(cache=True, nogil=True)
+def one_plus(s0, s1, c1, c2, c3, c4):
+    """Interval of 1 + s (c1 + s (c2 + s (c3 + s c4))) over s in [s0, s1]."""
+    low, high = c4, c4
+    for c in (c3, c2, c1, 1.0):
+        low, high = times(s0, s1, low, high)
+        low += c
+        high += c
+    return low, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pixel_bounds(lower, upper, p):
+    """Bounds of the pixels of a box of points: (state, u0, u1, v0, v1), u0 .. v1 as real numbers.
+
+    lower, upper : (3,) m, world.  state : 0 = no point is seen by geometry, 1 = some may be, 2 = all are.
+    Interval arithmetic, so the bounds hold for every point between; with state 1 they may be infinite.
+    """
+    a0 = b0 = c0 = np.inf
+    a1 = b1 = c1 = -np.inf
+    for corner in range(8):
+        x = upper[0] if corner & 1 else lower[0]
+        y = upper[1] if corner & 2 else lower[1]
+        z = upper[2] if corner & 4 else lower[2]
+        c = p[6] * x + p[7] * y + p[8] * z + p[11]
+        # On a convex set before the camera a ratio of linear functions is largest and smallest at corners.
+        a = (p[0] * x + p[1] * y + p[2] * z + p[9]) / c
+        b = (p[3] * x + p[4] * y + p[5] * z + p[10]) / c
+        a0, a1 = min(a0, a), max(a1, a)
+        b0, b1 = min(b0, b), max(b1, b)
+        c0, c1 = min(c0, c), max(c1, c)
+    if c1 <= MIN_DEPTH_M:
+        return 0, 0.0, 0.0, 0.0, 0.0
+    if c0 <= 2 * MIN_DEPTH_M:
+        return 1, -np.inf, np.inf, -np.inf, np.inf
+    aa0, aa1 = square(a0, a1)
+    bb0, bb1 = square(b0, b1)
+    s0, s1 = aa0 + bb0, aa1 + bb1
+    is_fisheye = p[25] > 0.5
+    limit2 = p[24] * p[24]
+    if is_fisheye:
+        limit2 = math.tan(p[24]) ** 2 if p[24] < 1.57 else np.inf
+    slack = 1 + 1e-9
+    if s0 > limit2 * slack:
+        return 0, 0.0, 0.0, 0.0, 0.0
+    state = 2 if s1 * slack < limit2 else 1
+    s1 = min(s1, limit2 * slack)
+    if is_fisheye:
+        # scale = theta / tan(theta) * (1 + ...): the first factor falls with the angle
+        t0, t1 = math.atan(math.sqrt(s0)), math.atan(math.sqrt(s1))
+        f0 = t1 / math.sqrt(s1) if s1 > 1e-16 else 1.0
+        f1 = t0 / math.sqrt(s0) if s0 > 1e-16 else 1.0
+        g0, g1 = one_plus(t0 * t0, t1 * t1, p[16], p[17], p[18], p[19])
+        m0, m1 = times(f0, f1, g0, g1)
+        u0, u1 = times(a0, a1, m0, m1)
+        v0, v1 = times(b0, b1, m0, m1)
+    else:
+        n0, n1 = one_plus(s0, s1, p[16], p[17], p[20], 0.0)
+        d0, d1 = one_plus(s0, s1, p[21], p[22], p[23], 0.0)
+        if d0 <= 0.0:
+            return 1, -np.inf, np.inf, -np.inf, np.inf
+        m0, m1 = times(n0, n1, 1 / d1, 1 / d0)
+        ab0, ab1 = times(2 * a0, 2 * a1, b0, b1)
+        u0, u1 = times(a0, a1, m0, m1)
+        v0, v1 = times(b0, b1, m0, m1)
+        w0, w1 = times(p[18], p[18], ab0, ab1)
+        x0, x1 = times(p[19], p[19], s0 + 2 * aa0, s1 + 2 * aa1)
+        y0, y1 = times(p[18], p[18], s0 + 2 * bb0, s1 + 2 * bb1)
+        z0, z1 = times(p[19], p[19], ab0, ab1)
+        u0, u1, v0, v1 = u0 + w0 + x0, u1 + w1 + x1, v0 + y0 + z0, v1 + y1 + z1
+    return state, p[12] * u0 + p[14], p[12] * u1 + p[14], p[13] * v0 + p[15], p[13] * v1 + p[15]
+
+
+@njit(cache=True, nogil=True)
+def enclose_blocks(lower, upper, p, width, height, camera, box, sees_all, sees_some):
+    """Enter into the tables of blocks what is certain of one camera without projecting their voxels.
+
+    lower, upper : (n, 3) m, world, first and last voxel centre of each block.  p : (C, 26).
+    box : (n, C, 4) int16 u0, u1, v0, v1, holds the pixels of all voxels seen.  sees_all : (n,) int64, bit set
+    only if every voxel is seen.  sees_some : bit clear only if none is.
+    """
+    bit = np.int64(1) << camera
+    for i in range(lower.shape[0]):
+        state, u0, u1, v0, v1 = pixel_bounds(lower[i], upper[i], p)
+        box[i, camera, 0] = 32767
+        box[i, camera, 1] = -1
+        box[i, camera, 2] = 32767
+        box[i, camera, 3] = -1
+        u0 = math.floor(max(u0, -2.0) + 0.5 - MARGIN_PX)
+        v0 = math.floor(max(v0, -2.0) + 0.5 - MARGIN_PX)
+        u1 = math.floor(min(u1, width + 2.0) + 0.5 + MARGIN_PX)
+        v1 = math.floor(min(v1, height + 2.0) + 0.5 + MARGIN_PX)
+        if state == 0 or u1 < 0 or v1 < 0 or u0 >= width or v0 >= height:
+            continue
+        sees_some[i] |= bit
+        if state == 2 and u0 >= 0 and v0 >= 0 and u1 < width and v1 < height:
+            sees_all[i] |= bit
+        box[i, camera, 0] = max(u0, 0)
+        box[i, camera, 1] = min(u1, width - 1)
+        box[i, camera, 2] = max(v0, 0)
+        box[i, camera, 3] = min(v1, height - 1)
+
+
+@njit(cache=True, nogil=True)
+def block_centers(block, counts, shape, origin, side, xs, ys, zs, is_real):
+    """Centres, m, of the 4096 voxels of a block of 16 in the order of the tables; voxels beyond the grid too.
+
+    is_real : (4096,) uint8 out, 1 inside the grid.
+    """
+    bz = block % counts[2]
+    by = (block // counts[2]) % counts[1]
+    bx = block // (counts[2] * counts[1])
+    for i in range(4096):
+        b, j = i >> 6, i & 63
+        x = bx * 16 + (b >> 4) * 4 + (j >> 4)
+        y = by * 16 + ((b >> 2) & 3) * 4 + ((j >> 2) & 3)
+        z = bz * 16 + (b & 3) * 4 + (j & 3)
+        xs[i] = origin[0] + (x + 0.5) * side
+        ys[i] = origin[1] + (y + 0.5) * side
+        zs[i] = origin[2] + (z + 0.5) * side
+        is_real[i] = x < shape[0] and y < shape[1] and z < shape[2]
+
+
+@njit(cache=True, nogil=True)
+def enter_pixels(pixels, is_real, camera, width, table, n_seen, box4, all4, some4):
+    """Enter one camera's pixels of the 4096 voxels of a block of 16 into its tables.
+
+    table : (64, C, 64) int32, -1 where not seen.  n_seen : (64, 64) uint8, added to.  box4 : (64, C, 4) int16.
+    all4, some4 : (64,) int64 bit sets, added to.
+    """
+    bit = np.int64(1) << camera
+    for b in range(64):
+        u0, u1, v0, v1 = 32767, -1, 32767, -1
+        n_real = 0
+        n_inside = 0
+        for j in range(64):
+            pixel = pixels[b * 64 + j]
+            if not is_real[b * 64 + j]:
+                pixel = -1
+            else:
+                n_real += 1
+            table[b, camera, j] = pixel
+            if pixel >= 0:
+                n_inside += 1
+                n_seen[b, j] += 1
+                v = pixel // width
+                u = pixel - v * width
+                u0, u1 = min(u0, u), max(u1, u)
+                v0, v1 = min(v0, v), max(v1, v)
+        box4[b, camera, 0] = u0
+        box4[b, camera, 1] = u1
+        box4[b, camera, 2] = v0
+        box4[b, camera, 3] = v1
+        if n_inside > 0:
+            some4[b] |= bit
+        if n_inside == n_real:
+            all4[b] |= bit
+
+
+@njit(cache=True, nogil=True)
+def merge_blocks(box, sees_all, sees_some, high, children, box_out):
+    """Box (C, 4) and sets of a block from those of its children: (sees_all, sees_some, high)."""
+    everyone, someone, most = np.int64(-1), np.int64(0), 0
+    for c in range(box.shape[1]):
+        box_out[c, 0] = box_out[c, 2] = 32767
+        box_out[c, 1] = box_out[c, 3] = -1
+    for k in children:
+        everyone &= sees_all[k]
+        someone |= sees_some[k]
+        most = max(most, high[k])
+        for c in range(box.shape[1]):
+            box_out[c, 0] = min(box_out[c, 0], box[k, c, 0])
+            box_out[c, 1] = max(box_out[c, 1], box[k, c, 1])
+            box_out[c, 2] = min(box_out[c, 2], box[k, c, 2])
+            box_out[c, 3] = max(box_out[c, 3], box[k, c, 3])
+    return everyone, someone, most
+
+
+@njit(cache=True, nogil=True)
+def sum_up_block(n_seen, box4, all4, some4, high4, box8, all8, some8, high8, box16):
+    """Levels 8 and 16 of one block of 16 from its blocks of 4: (sees_all, sees_some, high) of the whole."""
+    for b in range(64):
+        most = 0
+        for j in range(64):
+            most = max(most, n_seen[b, j])
+        high4[b] = most
+    children = np.empty(8, dtype=np.int64)
+    for k in range(8):
+        for i in range(8):
+            x, y, z = 2 * (k >> 2) + (i >> 2), 2 * ((k >> 1) & 1) + ((i >> 1) & 1), 2 * (k & 1) + (i & 1)
+            children[i] = (x * 4 + y) * 4 + z
+        all8[k], some8[k], high8[k] = merge_blocks(box4, all4, some4, high4, children, box8[k])
+    return merge_blocks(box8, all8, some8, high8, np.arange(8), box16)
+
+
+@njit(cache=True, nogil=True)
+def foreground_in(box, integral, start, rect):
+    """Foreground pixels in a pixel box u0, u1, v0, v1.
+
+    integral : integral images of all cameras end to end, of the rectangle rect (u0, u1, v0, v1) around all
+    foreground alone; this camera's begins at `start`.
+    """
+    u0, u1 = max(np.int64(box[0]), rect[0]), min(np.int64(box[1]), rect[1])
+    v0, v1 = max(np.int64(box[2]), rect[2]), min(np.int64(box[3]), rect[3])
+    if u0 > u1 or v0 > v1:
+        return np.int64(0)
+    row = rect[1] - rect[0] + 2
+    top = start + (v0 - rect[2]) * row - rect[0]
+    bottom = start + (v1 + 1 - rect[2]) * row - rect[0]
+    return (
+        np.int64(integral[np.uint64(bottom + u1 + 1)])
+        - integral[np.uint64(bottom + u0)]
+        - integral[np.uint64(top + u1 + 1)]
+        + integral[np.uint64(top + u0)]
+    )
+
+
+@njit(cache=True, nogil=True)
+def judge(box, integral, start, rect, active, sees_all, sees_some, strict, tolerance, misses, min_votes):
+    """Vote of the active cameras on one block: (decision, cameras still undecided, sure misses).
+
+    box : (C, 4).  strict : a camera that does not see a voxel counts as a miss, else it has no vote.
+    min_votes : active cameras that must find some foreground; otherwise the block is dropped.
+    """
+    undecided = np.int64(0)
+    n_undecided = 0
+    n_votes = 0
+    for c in range(box.shape[0]):
+        if (active >> c) & 1 == 0:
+            continue
+        n = np.int64(0)
+        sees = (sees_some >> c) & 1
+        if not sees and not strict:
+            continue
+        if sees:
+            n = foreground_in(box[c], integral, start[c], rect[c])
+            n_votes += n > 0
+        if n == 0 and (strict or (sees_all >> c) & 1):
+            misses += 1
+            if misses > tolerance:
+                return DROP, undecided, misses
+            continue
+        area = (np.int64(box[c, 1]) - box[c, 0] + 1) * (np.int64(box[c, 3]) - box[c, 2] + 1)
+        if n < area or (strict and not (sees_all >> c) & 1):
+            undecided |= np.int64(1) << c
+            n_undecided += 1
+    if n_votes < min_votes:
+        return DROP, undecided, misses
+    if misses + n_undecided <= tolerance:
+        return KEEP, undecided, misses
+    return DESCEND, undecided, misses
+
+
+@njit(cache=True, nogil=True)
+def survey(
+    box64, all64, some64, high64, counts64, box16, all16, some16, high16, counts16,
+    integral, start, rect, strict, tolerance, min_views, out,
+):  # fmt: skip
+    """Blocks of 16 that cannot be dropped by their pixel boxes, into out; returns their number."""
+    n = 0
+    everyone = (np.int64(1) << box16.shape[1]) - 1
+    # A voxel that min_views cameras see has at least this many votes when at most `tolerance` are missing.
+    min_votes = min_views - tolerance
+    for b64 in range(box64.shape[0]):
+        if high64[b64] < min_views:
+            continue
+        decision, _, _ = judge(
+            box64[b64], integral, start, rect, everyone, all64[b64], some64[b64],
+            strict, tolerance, 0, min_votes,
+        )  # fmt: skip
+        if decision == DROP:
+            continue
+        z64 = b64 % counts64[2]
+        y64 = (b64 // counts64[2]) % counts64[1]
+        x64 = b64 // (counts64[2] * counts64[1])
+        for x in range(4 * x64, min(4 * x64 + 4, counts16[0])):
+            for y in range(4 * y64, min(4 * y64 + 4, counts16[1])):
+                for z in range(4 * z64, min(4 * z64 + 4, counts16[2])):
+                    b = (x * counts16[1] + y) * counts16[2] + z
+                    if high16[b] < min_views:
+                        continue
+                    decision, _, _ = judge(
+                        box16[b], integral, start, rect, everyone, all16[b], some16[b],
+                        strict, tolerance, 0, min_votes,
+                    )  # fmt: skip
+                    if decision != DROP:
+                        out[n] = b
+                        n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def carve_blocks(
+    blocks, slot, box16, all16, some16, high16, counts16, grid_shape,
+    box8, all8, some8, high8, box4, all4, some4, high4, table, n_seen,
+    masks, mask_start, integral, start, rect, strict, tolerance, min_views, out,
+):  # fmt: skip
+    """Occupied voxels of blocks of 16 by blocks of 8 and 4; linear indices into out, returns their number.
+
+    slot : where the tables of each block of 16 lie.  A block is dropped when more than `tolerance` cameras that
+    see all of it find no foreground in its pixel box, kept when at most `tolerance` cameras could still vote
+    background, else opened with the undecided cameras.
+    """
+    ny, nz = grid_shape[1], grid_shape[2]
+    n_cameras = box16.shape[1]
+    everyone = (np.int64(1) << n_cameras) - 1
+    n = 0
+    sums = np.zeros(64, dtype=np.uint8)
+    for b16 in blocks:
+        if high16[b16] < min_views:
+            continue
+        d16, open16, m16 = judge(
+            box16[b16], integral, start, rect, everyone, all16[b16], some16[b16],
+            strict, tolerance, 0, min_views - tolerance,
+        )  # fmt: skip
+        if d16 == DROP:
+            continue
+        t = slot[b16]
+        z16 = b16 % counts16[2]
+        y16 = (b16 // counts16[2]) % counts16[1]
+        x16 = b16 // (counts16[2] * counts16[1])
+        for k in range(8):
+            if high8[t, k] < min_views:
+                continue
+            d8, open8, m8 = judge(
+                box8[t, k], integral, start, rect, open16, all8[t, k], some8[t, k], strict, tolerance, m16, 0
+            )
+            if d8 == DROP:
+                continue
+            for i in range(8):
+                x4, y4, z4 = (
+                    2 * (k >> 2) + (i >> 2),
+                    2 * ((k >> 1) & 1) + ((i >> 1) & 1),
+                    2 * (k & 1) + (i & 1),
+                )
+                b = (x4 * 4 + y4) * 4 + z4
+                if high4[t, b] < min_views:
+                    continue
+                d4, open4, m4 = judge(
+                    box4[t, b],
+                    integral,
+                    start,
+                    rect,
+                    open8,
+                    all4[t, b],
+                    some4[t, b],
+                    strict,
+                    tolerance,
+                    m8,
+                    0,
+                )
+                if d4 == DROP:
+                    continue
+                sums[:] = m4
+                if d4 == DESCEND:
+                    for c in range(n_cameras):
+                        if (open4 >> c) & 1:
+                            first = mask_start[c]
+                            row = table[t, b, c]
+                            for j in range(64):
+                                # -1 reads the pixel before each mask, which holds the vote of "not seen"
+                                sums[j] += np.uint8(1) - masks[np.uint64(first + np.int64(row[j]))]
+                corner = ((x16 * 16 + x4 * 4) * ny + y16 * 16 + y4 * 4) * nz + z16 * 16 + z4 * 4
+                for j in range(64):
+                    if sums[j] <= tolerance and n_seen[t, b, j] >= min_views:
+                        out[n] = corner + ((j >> 4) * ny + ((j >> 2) & 3)) * nz + (j & 3)
+                        n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def count_votes(box, integral, start, rect, active, sees_some):
+    """(cameras still undecided, cameras that vote foreground wherever they see) of one block."""
+    undecided, sure = np.int64(0), np.int64(0)
+    for c in range(box.shape[0]):
+        if (active & sees_some) >> c & 1 == 0:
+            continue
+        n = foreground_in(box[c], integral, start[c], rect[c])
+        if n == 0:
+            continue
+        area = (np.int64(box[c, 1]) - box[c, 0] + 1) * (np.int64(box[c, 3]) - box[c, 2] + 1)
+        if n < area:
+            undecided |= np.int64(1) << c
+        else:
+            sure |= np.int64(1) << c
+    return undecided, sure
+
+
+@njit(cache=True, nogil=True)
+def n_bits(bits):
+    """Members of a camera set."""
+    n = 0
+    while bits:
+        bits &= bits - 1
+        n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def survey_votes(
+    box64, some64, counts64, box16, some16, counts16, integral, start, rect, min_votes, out
+):  # fmt: skip
+    """Blocks of 16 in which a voxel may have min_votes, into out; returns their number."""
+    n = 0
+    everyone = (np.int64(1) << box16.shape[1]) - 1
+    for b64 in range(box64.shape[0]):
+        undecided, sure = count_votes(box64[b64], integral, start, rect, everyone, some64[b64])
+        if n_bits(undecided | sure) < min_votes:
+            continue
+        z64 = b64 % counts64[2]
+        y64 = (b64 // counts64[2]) % counts64[1]
+        x64 = b64 // (counts64[2] * counts64[1])
+        for x in range(4 * x64, min(4 * x64 + 4, counts16[0])):
+            for y in range(4 * y64, min(4 * y64 + 4, counts16[1])):
+                for z in range(4 * z64, min(4 * z64 + 4, counts16[2])):
+                    b = (x * counts16[1] + y) * counts16[2] + z
+                    undecided, sure = count_votes(box16[b], integral, start, rect, everyone, some16[b])
+                    if n_bits(undecided | sure) >= min_votes:
+                        out[n] = b
+                        n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def vote_blocks(
+    blocks, slot, box16, some16, counts16, grid_shape, box8, some8, box4, some4, table, n_seen,
+    masks, mask_start, integral, start, rect, min_votes, out, votes_out, seen_out,
+):  # fmt: skip
+    """Voxels of blocks of 16 with at least min_votes foreground votes, their votes and views; their number.
+
+    The pixel before each mask must be background: -1, "not seen", reads it and adds no vote.
+    """
+    ny, nz = grid_shape[1], grid_shape[2]
+    n_cameras = box16.shape[1]
+    everyone = (np.int64(1) << n_cameras) - 1
+    n = 0
+    sums = np.zeros(64, dtype=np.uint8)
+    for b16 in blocks:
+        open16, sure16 = count_votes(box16[b16], integral, start, rect, everyone, some16[b16])
+        if n_bits(open16 | sure16) < min_votes:
+            continue
+        t = slot[b16]
+        z16 = b16 % counts16[2]
+        y16 = (b16 // counts16[2]) % counts16[1]
+        x16 = b16 // (counts16[2] * counts16[1])
+        for k in range(8):
+            open8, sure8 = count_votes(box8[t, k], integral, start, rect, open16, some8[t, k])
+            sure8 |= sure16 & some8[t, k]
+            if n_bits(open8 | sure8) < min_votes:
+                continue
+            for i in range(8):
+                x4, y4, z4 = (
+                    2 * (k >> 2) + (i >> 2),
+                    2 * ((k >> 1) & 1) + ((i >> 1) & 1),
+                    2 * (k & 1) + (i & 1),
+                )
+                b = (x4 * 4 + y4) * 4 + z4
+                open4, sure4 = count_votes(box4[t, b], integral, start, rect, open8, some4[t, b])
+                sure4 |= sure8 & some4[t, b]
+                if n_bits(open4 | sure4) < min_votes:
+                    continue
+                sums[:] = 0
+                for c in range(n_cameras):
+                    if ((open4 | sure4) >> c) & 1:
+                        first = mask_start[c]
+                        row = table[t, b, c]
+                        for j in range(64):
+                            sums[j] += masks[np.uint64(first + np.int64(row[j]))]
+                corner = ((x16 * 16 + x4 * 4) * ny + y16 * 16 + y4 * 4) * nz + z16 * 16 + z4 * 4
+                for j in range(64):
+                    if sums[j] >= min_votes:
+                        out[n] = corner + ((j >> 4) * ny + ((j >> 2) & 3)) * nz + (j & 3)
+                        votes_out[n] = sums[j]
+                        seen_out[n] = n_seen[t, b, j]
+                        n += 1
+    return n

@@ -1,0 +1,477 @@
+"""Camera faults told from silhouettes and pictures over a whole recording: moved, lagging, frozen, black.
+
+For each camera an exact piecewise-constant fit (a shortest path over frames) chooses in every frame between "in
+time", "lags by L frames" and "does not fit at any lag". A frame costs the share of the mask that its state leaves
+unexplained, in units of the usual share; a change of state has a fixed price, so that single bad masks do not pay.
+What the stretches of other states mean is then decided with the pictures, if there are any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, SilhouetteEvidence, Snapshot
+
+Array = NDArray[np.float64]
+Kind = Literal["moved", "lag", "rate", "frozen", "black", "blind", "misfit", "scene"]
+
+# The fit. Prices are in units of the usual unexplained share (at least 1 % of the mask): a change of state must save
+# twelve such frames, and a lag must be better than none by a fifth of one in every frame.
+_USUAL_SHARE = 0.01
+_USUAL_FACTOR = 3.0
+_LARGEST_SHARE = 0.5
+_LARGEST_COST = 10.0  # of one frame, so that a single hull that failed decides nothing
+_OFF_SHARE = 0.15
+_OFF_COST = 8.0
+_LAG_PRICE = 0.2
+_CHANGE_PRICE = 12.0
+_MIN_GAIN = 12.0
+_MIN_FRAMES = 5
+_JOIN_FRAMES = 8  # stretches closer than this are one
+# A lag explains a stretch when it leaves at most this share of what no lag leaves.
+_LAG_LEAVES = 0.3
+_SHIFT_LEAVES = 0.5
+_SAME_TIME_FRAMES = 3
+_SHARPEN_FRAMES = 12
+# Frozen: the mask changes this much less than the others', or the picture than its own usual noise.
+_FROZEN_MASK_CHANGE = 0.005
+_MOVING_MASK_CHANGE = 0.05
+_FROZEN_PICTURE_SHARE = 0.25
+_BLACK_LEVEL, _BLACK_CONTRAST = 16.0, 6.0
+# Background shift: cells (of 4 px) that count as moved; the noise on steady cameras is below 0.2.
+_MOVED_CELLS = 0.5
+_MIN_POINTS = 6
+_N_LOOKS = 16
+_STILL_SHARE = 0.6  # of the snapshots in which a cell is foreground
+
+
+@dataclass(frozen=True)
+class CameraFault:
+    """What is wrong with a camera, from which frame on.
+
+    kind : moved; lag (lag_frames > 0: old pictures, < 0: they come early); rate (the lag grows steadily); frozen;
+    black; blind (it sees nobody where the others see a person); misfit (its masks do not fit, for a reason that the
+    masks do not tell); scene (camera "": several cameras at once, so the light or the room has changed).
+    first_frame, last_frame : inclusive.  is_to_end : last_frame is the last of the recording.
+    shift_px : how far the picture's background, or else its silhouettes, moved (u, v).
+    """
+
+    camera: str
+    kind: Kind
+    first_frame: int
+    last_frame: int
+    is_from_start: bool
+    is_to_end: bool
+    lag_frames: int = 0
+    shift_px: tuple[float, float] | None = None
+
+    @property
+    def message(self) -> str:
+        """One sentence for the user."""
+        who = f"camera {self.camera}"
+        at = f"at frame {self.first_frame}"
+        if self.is_from_start and self.is_to_end:
+            when = "all the time"
+        elif self.is_to_end:
+            when = f"from frame {self.first_frame} on"
+        else:
+            when = f"in frames {self.first_frame} to {self.last_frame}"
+        frames = f"{abs(self.lag_frames)} frame{'s' * (abs(self.lag_frames) != 1)}"
+        if self.kind == "moved":
+            far = (
+                "" if self.shift_px is None else f" (its picture shifts by {np.hypot(*self.shift_px):.0f} px)"
+            )
+            back = "" if self.is_to_end else f" and back at frame {self.last_frame + 1}"
+            if self.is_from_start:
+                return f"{who} does not stand where the calibration says{far}, {when}"
+            return f"{who} moved {at}{back}{far}"
+        if self.kind == "lag" and self.lag_frames < 0 and not self.is_from_start:
+            return f"{who} is {frames} early {when}: its file has lost pictures"
+        return {
+            "lag": f"{who} {'lags' if self.lag_frames > 0 else 'is early by'} {frames} {when}",
+            "rate": f"{who} runs away from the others {when}: another frame rate, or a clock that drifts",
+            "frozen": f"{who} repeats one picture {when}",
+            "black": f"{who} is black {when}",
+            "blind": f"{who} sees nobody where the others see a person {when}: hidden, or not segmented",
+            "misfit": f"the masks of {who} do not fit those of the other cameras {when}",
+            "scene": f"the masks of several cameras stop fitting together {at}: the light or the room has changed",
+        }[self.kind]
+
+
+def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
+    """Faults of all cameras, by first frame; nothing for fewer than five frames or fewer than three cameras.
+
+    One bad camera at a time is found surely; the hull of the others allows no more. Whoever stands still hides a
+    lag, and a camera that turns by less than about a degree shows only in its pictures.
+    """
+    n_frames, n_cameras = evidence.mask_cells.shape
+    if n_frames < _MIN_FRAMES or n_cameras < 3:
+        return ()
+    unexplained = evidence.uncovered.astype(np.float64)
+    found: list[CameraFault] = []
+    for c in range(n_cameras):
+        plain: tuple[tuple[Kind, list[tuple[int, int]]], ...] = (
+            ("black", _black(evidence, c)),
+            ("frozen", _frozen(evidence, c)),
+        )
+        for kind, stretches in plain:
+            for first, stop in stretches:
+                if not any(
+                    f.camera == evidence.names[c] and _overlap(f, evidence, first, stop) for f in found
+                ):
+                    found.append(_fault(evidence, c, kind, first, stop))
+                    unexplained[max(first - 1, 0) : stop, c] = np.nan
+    moved = [_background_moves(evidence, c) for c in range(n_cameras)]
+    for c, own in enumerate(moved):
+        for first, stop, shift in own:
+            found.append(replace(_fault(evidence, c, "moved", first, stop), shift_px=shift))
+            unexplained[first:stop, c] = np.nan
+    usual = max(_USUAL_SHARE, _USUAL_FACTOR * _median(np.min(unexplained, axis=2, initial=np.inf)))
+    doubted = []
+    for c in range(n_cameras):
+        for stretch in _odd_stretches(unexplained[:, c], usual):
+            fault = _diagnose(evidence, unexplained[:, c], c, *stretch, usual)
+            doubted.append(fault)
+    found += _without_common_cause(doubted, n_cameras)
+    return tuple(sorted(found, key=lambda f: (f.first_frame, f.camera)))
+
+
+def usable_cameras(
+    faults: Sequence[CameraFault], names: Sequence[str], frames: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Which cameras have no fault in which frames, (T, C) bool; faults of the scene are nobody's.
+
+    A lag of one frame is no reason to do without a camera: clocks that differ by half a frame look like it.
+    """
+    usable = np.ones((len(frames), len(names)), dtype=np.bool_)
+    for fault in faults:
+        if fault.camera in names and abs(fault.lag_frames) != 1:
+            bad = (frames >= fault.first_frame) & (frames <= fault.last_frame)
+            usable[bad, list(names).index(fault.camera)] = False
+    return usable
+
+
+def fit_states(unexplained: Array, usual: float) -> tuple[NDArray[np.int64], Array]:
+    """Exact piecewise-constant fit of one camera: state per frame (T,), and the cost (T, S) of every state.
+
+    unexplained : (T, 2 W + 1) shares per lag, NaN = unknown; frames without any number cost nothing.
+    States 0 .. 2 W are the lags -W .. W, 2 W + 1 is "fits at no lag".
+    """
+    n_frames, n_lags = unexplained.shape
+    in_time = n_lags // 2
+    known = np.isfinite(unexplained[:, in_time])
+    share = np.where(np.isfinite(unexplained), unexplained, _LARGEST_SHARE)
+    cost = np.full((n_frames, n_lags + 1), min(_OFF_SHARE / usual, _OFF_COST) + _LAG_PRICE)
+    cost[:, :n_lags] = np.minimum(share / usual, _LARGEST_COST) + _LAG_PRICE
+    cost[:, in_time] -= _LAG_PRICE
+    cost[~known] = 0.0
+    total = cost[0] + np.where(np.arange(n_lags + 1) == in_time, 0.0, _CHANGE_PRICE)
+    came_from = np.zeros(cost.shape, dtype=np.int64)
+    for t in range(1, n_frames):
+        best = int(total.argmin())
+        stays = total <= total[best] + _CHANGE_PRICE
+        came_from[t] = np.where(stays, np.arange(n_lags + 1), best)
+        total = np.minimum(total, total[best] + _CHANGE_PRICE) + cost[t]
+    states = np.empty(n_frames, dtype=np.int64)
+    states[-1] = total.argmin()
+    for t in range(n_frames - 1, 0, -1):
+        states[t - 1] = came_from[t, states[t]]
+    return states, cost
+
+
+def _odd_stretches(unexplained: Array, usual: float) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+    """Stretches (first, stop) of one camera that are not in time and worth it, with the states of their frames."""
+    states, cost = fit_states(unexplained, usual)
+    in_time = unexplained.shape[1] // 2
+    known = np.isfinite(unexplained[:, in_time])
+    frames = np.arange(len(states))
+    for first, stop in _runs(states != in_time, _JOIN_FRAMES):
+        inside = states[first:stop]
+        saved = (cost[first:stop, in_time] - cost[frames[first:stop], inside])[known[first:stop]]
+        # A fault speaks in many frames; a hull that fails now and then does not.
+        if saved.sum() < _MIN_GAIN or np.count_nonzero(saved > _LAG_PRICE) < max(
+            _MIN_FRAMES, 0.25 * len(saved)
+        ):
+            continue
+        # Before the first movement a lag cannot be seen: then it counts as having been there from the start.
+        told = np.isfinite(unexplained[:first, min(inside[0], 2 * in_time)]) & known[:first]
+        if first and (cost[:first, inside[0]] - cost[:first, in_time])[told].sum() <= 0.5 * _CHANGE_PRICE:
+            first, inside = 0, np.concatenate([np.full(first, inside[0]), inside])
+        yield first, stop, inside
+
+
+def _diagnose(
+    evidence: SilhouetteEvidence,
+    unexplained: Array,
+    c: int,
+    first: int,
+    stop: int,
+    states: NDArray[np.int64],
+    usual: float,
+) -> CameraFault:
+    """What the odd stretch [first, stop) of a camera is."""
+    part = unexplained[first:stop]
+    part = part[np.isfinite(part[:, MAX_LAG_FRAMES])]
+    with np.errstate(invalid="ignore"):
+        share = np.array([_mean(np.minimum(column, _LARGEST_SHARE)) for column in part.T])
+    none = share[MAX_LAG_FRAMES]
+    if np.mean(part[:, MAX_LAG_FRAMES] >= 1.0) > 0.5:
+        return _fault(evidence, c, "blind", first, stop)
+    best = int(np.nanargmin(share))
+    shift, before_shift, after_shift = _silhouette_shift(evidence.snapshots, evidence, c, first, stop)
+    # What is unexplained at the best of times, by shadows and the like, no lag can explain either.
+    well = np.concatenate([unexplained[:first, MAX_LAG_FRAMES], unexplained[stop:, MAX_LAG_FRAMES]])
+    floor = usual / _USUAL_FACTOR
+    if np.count_nonzero(np.isfinite(well)) >= _MIN_FRAMES:
+        floor = max(floor, _mean(np.minimum(well, _LARGEST_SHARE)))
+    is_lag = best != MAX_LAG_FRAMES and share[best] - floor <= _LAG_LEAVES * (none - floor)
+    if is_lag and not after_shift < share[best] - 0.5 * usual:
+        first = _sharpened(evidence.strict[:, c], first, best)
+        return replace(_fault(evidence, c, "lag", first, stop), lag_frames=best - MAX_LAG_FRAMES)
+    if _is_drift(states) and not after_shift < _of_states(unexplained[first:stop], states) - 0.5 * usual:
+        return _fault(evidence, c, "rate", first, stop)
+    if after_shift <= _SHIFT_LEAVES * before_shift:
+        return replace(_fault(evidence, c, "moved", first, stop), shift_px=shift)
+    return _fault(evidence, c, "misfit", first, stop)
+
+
+def _is_drift(states: NDArray[np.int64]) -> bool:
+    """Whether the lag begins small and grows step by step."""
+    lags = [int(s) - MAX_LAG_FRAMES for s, _, _ in _pieces(states) if s <= 2 * MAX_LAG_FRAMES]
+    steps = np.diff(lags) * np.sign(lags[-1] if lags else 0)
+    return len(lags) >= 3 and abs(lags[0]) <= 2 and bool(np.all((steps > 0) & (steps <= 2)))
+
+
+def _of_states(unexplained: Array, states: NDArray[np.int64]) -> float:
+    """Mean share that the lags of a fit leave, over the frames that it gives a lag."""
+    rows = np.flatnonzero(states <= 2 * MAX_LAG_FRAMES)
+    return _mean(np.minimum(unexplained[rows, states[rows]], _LARGEST_SHARE))
+
+
+def _sharpened(strict: NDArray[np.float32], first: int, state: int) -> int:
+    """The frame near `first` at which the lag of `state` begins to fit better than none, by the tighter hull.
+
+    That hull is of use once it is known that the other cameras are well.
+    """
+    if first == 0:
+        return 0
+    begin = max(0, first - _SHARPEN_FRAMES)
+    saved = (
+        strict[begin : first + _SHARPEN_FRAMES, MAX_LAG_FRAMES]
+        - strict[begin : first + _SHARPEN_FRAMES, state]
+    )
+    return begin + int(np.argmin(np.concatenate([[0.0], np.cumsum(np.nan_to_num(saved))])))
+
+
+def _without_common_cause(faults: list[CameraFault], n_cameras: int) -> list[CameraFault]:
+    """Faults that begin together in half of the cameras or more become one fault of the scene."""
+    left, together = list(faults), []
+    for fault in sorted(faults, key=lambda f: f.first_frame):
+        near = [f for f in left if abs(f.first_frame - fault.first_frame) <= _SAME_TIME_FRAMES]
+        if len({f.camera for f in near}) >= max(2, (n_cameras + 1) // 2):
+            left = [f for f in left if f not in near]
+            last = max(f.last_frame for f in near)
+            together.append(
+                replace(
+                    near[0],
+                    camera="",
+                    kind="scene",
+                    first_frame=min(f.first_frame for f in near),
+                    last_frame=last,
+                    lag_frames=0,
+                    shift_px=None,
+                )
+            )
+    return left + together
+
+
+def _black(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, int]]:
+    dark = (evidence.brightness[:, c] < _BLACK_LEVEL) & (evidence.contrast[:, c] < _BLACK_CONTRAST)
+    bright = np.nanmedian(evidence.brightness) if np.isfinite(evidence.brightness).any() else 0.0
+    return [r for r in _runs(dark & (bright > 2 * _BLACK_LEVEL), 1) if r[1] - r[0] >= _MIN_FRAMES]
+
+
+def _frozen(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, int]]:
+    """Stretches in which the picture repeats, or, without pictures, the mask while the others' masks change."""
+    own = evidence.picture_change[:, c]
+    if np.isfinite(own).any():
+        others = np.delete(evidence.picture_change, c, axis=1)
+        liveliest = float(np.nanquantile(own, 0.9))
+        usual = min(liveliest, _median(others)) if liveliest > 0 else _median(others)
+        others_go_on = np.median(others, axis=1) > 2 * _FROZEN_PICTURE_SHARE * usual
+        still = own < _FROZEN_PICTURE_SHARE * usual
+    else:
+        others = np.delete(evidence.change, c, axis=1)
+        with np.errstate(invalid="ignore"):
+            others_go_on = np.count_nonzero(others > _MOVING_MASK_CHANGE, axis=1) >= 0.5 * others.shape[1]
+            still = evidence.change[:, c] < _FROZEN_MASK_CHANGE
+    # In its first frames a codec still settles on the repeated picture.
+    stretches = [r for r in _runs(still, 3) if np.count_nonzero(others_go_on[slice(*r)]) >= _MIN_FRAMES]
+    return [(_start_of_stillness(evidence, c, first), stop) for first, stop in stretches]
+
+
+def _start_of_stillness(evidence: SilhouetteEvidence, c: int, first: int) -> int:
+    """Up to three frames earlier, while the mask already holds still."""
+    for _ in range(3):
+        if first > 1 and evidence.change[first - 1, c] < 2 * _MOVING_MASK_CHANGE:
+            first -= 1
+    return first
+
+
+def _background_moves(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, int, tuple[float, float]]]:
+    """Stretches (first, stop, shift in px) in which the picture's background lies elsewhere than at first."""
+    shots = [s for s in evidence.snapshots if s.pictures is not None]
+    if len(shots) < 2:
+        return []
+    seen: dict[int, Array | None] = {}
+
+    def shift_of(i: int) -> Array | None:
+        if i not in seen:
+            seen[i] = background_shift(shots[0], shots[i], c)
+        return seen[i]
+
+    def is_moved(i: int) -> bool | None:
+        shift = shift_of(i)
+        return None if shift is None else bool(np.hypot(*shift) > _MOVED_CELLS)
+
+    looks = np.unique(np.linspace(1, len(shots) - 1, min(_N_LOOKS, len(shots) - 1)).astype(int))
+    answers = [(int(i), is_moved(int(i))) for i in looks]
+    answers = [(0, False), *((i, a) for i, a in answers if a is not None)]
+    edges = []
+    for (a, was), (b, now) in pairwise(answers):
+        if was == now:
+            continue
+        while b - a > 1:
+            middle = (a + b) // 2
+            if is_moved(middle) == was:
+                a = middle
+            else:
+                b = middle
+        edges.append(b)
+    stretches = []
+    for first, stop in zip(edges[::2], [*edges[1::2], len(shots)][: len(edges[::2])], strict=True):
+        shifts = [s for i in range(first, stop) if (s := seen.get(i)) is not None]
+        if len(shifts) < 2 and stop - first < _MIN_FRAMES:
+            continue
+        shift = np.median(shifts, axis=0) * SHRINK
+        start = _row_of(evidence, shots[first].frame)
+        if first:
+            start = _first_jump(evidence, c, _row_of(evidence, shots[first - 1].frame) + 1, start)
+        end = len(evidence.frames) if stop == len(shots) else _row_of(evidence, shots[stop].frame)
+        stretches.append((start, end, (float(shift[0]), float(shift[1]))))
+    return stretches
+
+
+def _first_jump(evidence: SilhouetteEvidence, c: int, first: int, last: int) -> int:
+    """The frame within first .. last (rows, between two snapshots) in which the picture changes most."""
+    if last <= first:
+        return last
+    return first + int(np.nanargmax(evidence.picture_change[first : last + 1, c]))
+
+
+def background_shift(before: Snapshot, after: Snapshot, c: int) -> Array | None:
+    """Shift (2,) in cells of the background of camera c between two snapshots; None when it cannot be told.
+
+    Corners of the first picture away from both masks are followed into the second (Lucas and Kanade) and back; the
+    answer is their median where most agree.
+    """
+    assert before.pictures is not None
+    assert after.pictures is not None
+    first, second = before.pictures[c], after.pictures[c]
+    person = cv2.dilate(before.masks[c] | after.masks[c], np.ones((5, 5), np.uint8))
+    free = ((person == 0) & (first > 0)).astype(np.uint8)
+    points = cv2.goodFeaturesToTrack(first, 80, 0.02, 5, mask=free, blockSize=5)
+    if points is None or len(points) < _MIN_POINTS:
+        return None
+    there, ok, _ = cv2.calcOpticalFlowPyrLK(first, second, points, None, winSize=(15, 15), maxLevel=3)
+    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(second, first, there, None, winSize=(15, 15), maxLevel=3)
+    good = (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & (np.linalg.norm((back - points)[:, 0], axis=1) < 0.3)
+    shifts = (there - points)[good, 0].astype(np.float64)
+    if len(shifts) < _MIN_POINTS:
+        return None
+    median = np.median(shifts, axis=0)
+    if np.mean(np.linalg.norm(shifts - median, axis=1) < max(_MOVED_CELLS, 0.3 * np.hypot(*median))) < 0.6:
+        return None
+    return median
+
+
+def _silhouette_shift(
+    snapshots: Sequence[Snapshot], evidence: SilhouetteEvidence, c: int, first: int, stop: int
+) -> tuple[tuple[float, float], float, float]:
+    """The one shift, px, of a camera's masks against the others' silhouettes; the share outside before and after."""
+    begin, end = int(evidence.frames[first]), int(evidence.frames[stop - 1])
+    inside = [s for s in snapshots if begin <= s.frame <= end and s.hulls[c].any() and s.masks[c].any()]
+    inside = inside[:: max(1, len(inside) // 24)]
+    if not inside:
+        return (0.0, 0.0), 0.0, np.inf
+    h, w = inside[0].masks.shape[1:]
+    spectrum = np.zeros((2 * h, w + 1), dtype=np.complex128)
+    n_cells = 0
+    # What stands still is no person but the background of a camera that has moved.
+    still = np.mean([shot.masks[c] for shot in inside], axis=0) > _STILL_SHARE
+    if len(inside) < _MIN_FRAMES or sum(int((s.masks[c] & ~still).sum()) for s in inside) < _MIN_FRAMES * len(
+        inside
+    ):
+        still[:] = False
+    for shot in inside:
+        mask, hull = (shot.masks[c] & ~still).astype(float), (shot.hulls[c] > 0).astype(float)
+        n_cells += int(mask.sum())
+        pad = (2 * h, 2 * w)
+        spectrum += np.conj(np.fft.rfft2(mask, pad)) * np.fft.rfft2(hull, pad)
+    covered = np.fft.irfft2(spectrum, (2 * h, 2 * w))
+    v, u = np.unravel_index(int(covered.argmax()), covered.shape)
+    dv, du = (int(v) + h) % (2 * h) - h, (int(u) + w) % (2 * w) - w
+    left = 1.0 - covered / n_cells
+    return (-float(du * SHRINK), -float(dv * SHRINK)), float(left[0, 0]), max(0.0, float(left.min()))
+
+
+def _fault(evidence: SilhouetteEvidence, c: int, kind: Kind, first: int, stop: int) -> CameraFault:
+    return CameraFault(
+        camera=evidence.names[c],
+        kind=kind,
+        first_frame=int(evidence.frames[first]),
+        last_frame=int(evidence.frames[stop - 1]),
+        is_from_start=first == 0,
+        is_to_end=stop == len(evidence.frames),
+    )
+
+
+def _overlap(fault: CameraFault, evidence: SilhouetteEvidence, first: int, stop: int) -> bool:
+    return fault.first_frame <= evidence.frames[stop - 1] and fault.last_frame >= evidence.frames[first]
+
+
+def _row_of(evidence: SilhouetteEvidence, frame: int) -> int:
+    return int(np.searchsorted(evidence.frames, frame))
+
+
+def _runs(flags: NDArray[np.bool_], join: int) -> list[tuple[int, int]]:
+    """Stretches (first, stop) of true flags; gaps shorter than `join` do not part them."""
+    rows = np.flatnonzero(flags)
+    if len(rows) == 0:
+        return []
+    parts = np.split(rows, np.flatnonzero(np.diff(rows) > join) + 1)
+    return [(int(p[0]), int(p[-1]) + 1) for p in parts]
+
+
+def _pieces(states: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
+    """(state, first, stop) of the constant pieces."""
+    edges = [0, *(np.flatnonzero(np.diff(states)) + 1).tolist(), len(states)]
+    for first, stop in pairwise(edges):
+        yield int(states[first]), first, stop
+
+
+def _median(values: NDArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _mean(values: NDArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else np.nan

@@ -1,0 +1,261 @@
+"""What masks say about cameras: each mask against the hull that the other cameras carve, over time.
+
+A silhouette of the others' hull holds the person, so a healthy camera's mask lies inside it. When the camera has
+moved, its mask sticks out; when it lags, the mask fits the hull of another frame. The hull of the others is carved
+with one faulty view allowed, so that one bad camera does not spoil the evidence about the good ones.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import CameraRig, VoxelGrid
+from mocap.volume import _kernels
+from mocap.volume.carve import Carver, check_masks
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Image = NDArray[np.uint8]
+Small = NDArray[np.uint8]
+
+MAX_LAG_FRAMES = 8
+SHRINK = 4  # picture pixels per cell of the small masks
+_FOOTPRINT = 1.2  # width of a painted voxel, as in residuals.py
+_MIN_VIEWS = 4
+_MIN_CELLS = 12  # a silhouette with fewer cells says nothing
+_TOUCH_SHARE = 0.1  # of the hull's silhouette that a mask must cover to be the same person's
+_SAMPLE_STEPS = (16, 4)  # every so many rows and columns of a picture are looked at
+_MAX_SNAPSHOTS = 96
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One frame at reduced resolution.
+
+    masks, hulls : (C, h, w) uint8; hulls as of paint_left_out.  pictures : (C, h, w) uint8, the green channel, or None.
+    """
+
+    frame: int
+    masks: Small
+    hulls: Small
+    pictures: Small | None
+
+
+@dataclass(frozen=True, eq=False)
+class SilhouetteEvidence:
+    """Numbers per frame and camera that camera faults are told by.
+
+    frames : (T,) int.  uncovered : (T, C, 2 W + 1) share of the mask outside the silhouette of the others' hull of
+    W frames later .. W frames earlier (index W + lag for a camera that lags `lag` frames); 1 when the mask misses
+    the silhouette, NaN when there is no such frame or nobody in the picture.  strict : the same for the hull that
+    allows no faulty view.  mask_cells, hull_cells : (T, C) size of mask and silhouette, in cells of 4 x 4 px.
+    change : (T, C) share of the mask that is new or gone since the last frame, NaN without a mask.
+    picture_change, brightness, contrast : (T, C) mean absolute difference to the last picture, mean and standard
+    deviation, grey levels; NaN without pictures.  snapshots : some frames, evenly spread.
+    """
+
+    names: tuple[str, ...]
+    frames: NDArray[np.int64]
+    uncovered: NDArray[np.float32]
+    strict: NDArray[np.float32]
+    mask_cells: NDArray[np.int32]
+    hull_cells: NDArray[np.int32]
+    change: NDArray[np.float32]
+    picture_change: NDArray[np.float32]
+    brightness: NDArray[np.float32]
+    contrast: NDArray[np.float32]
+    snapshots: tuple[Snapshot, ...]
+
+
+class ConsistencyMonitor:
+    """Collects evidence frame by frame: `add` every frame in order, then `evidence`.
+
+    grid : where persons may be; it is resampled at voxel_size_m, because silhouettes of a coarse hull will do.
+    Memory is constant but for some hundred numbers per frame. Not thread-safe.
+    """
+
+    def __init__(self, rig: CameraRig, grid: VoxelGrid, *, voxel_size_m: float = 0.05) -> None:
+        side = max(voxel_size_m, grid.voxel_size_m)
+        self.rig = rig
+        self._carver = Carver(rig, VoxelGrid.from_bounds(grid.origin, grid.upper, side))
+        self._size = (max(c.size[1] for c in rig) // SHRINK, max(c.size[0] for c in rig) // SHRINK)
+        self._width = np.array([c.size[0] for c in rig], dtype=np.int64)
+        focal = np.array([max(c.K[0, 0], c.K[1, 1]) for c in rig])
+        self._half_at_1m = 0.5 * _FOOTPRINT * side * focal
+        self._axes = np.array([[*c.R[2], c.t[2]] for c in rig])
+        self._recent: deque[_Frame] = deque(maxlen=MAX_LAG_FRAMES + 1)
+        self._rows: list[_Row] = []
+        self._samples: tuple[Image, ...] | None = None
+        self._snapshots: list[Snapshot] = []
+        self._snapshot_step = 1
+
+    def add(self, frame: int, masks: Sequence[Mask], images: Sequence[Image] | None = None) -> None:
+        """Take one frame: one mask (H, W) bool per camera and, if there are, one picture (H, W, 3) uint8."""
+        check_masks(self.rig, masks)
+        now = _Frame(self._shrunk(masks), self._silhouettes(masks))
+        row = _Row(frame, len(self.rig))
+        before = self._recent[-1] if self._recent else None
+        row.mask_cells[:] = np.count_nonzero(now.masks, axis=(1, 2))
+        row.hull_cells[:] = now.hull_cells
+        if before is not None:
+            changed = np.count_nonzero(now.masks ^ before.masks, axis=(1, 2))
+            size = np.maximum(row.mask_cells, self._rows[-1].mask_cells)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                row.change[:] = np.where(size >= _MIN_CELLS, changed / size, np.nan)
+        self._look_at(images, row)
+        self._rows.append(row)
+        self._recent.append(now)
+        self._compare()
+        self._keep(frame, now, images)
+
+    def evidence(self) -> SilhouetteEvidence:
+        """Everything collected so far."""
+        rows, n = self._rows, len(self.rig)
+
+        def column(name: str, *shape: int) -> NDArray:
+            values = [getattr(row, name) for row in rows]
+            return np.array(values).reshape(len(rows), n, *shape)
+
+        return SilhouetteEvidence(
+            names=self.rig.names,
+            frames=np.array([row.frame for row in rows], dtype=np.int64),
+            uncovered=column("uncovered", 2 * MAX_LAG_FRAMES + 1),
+            strict=column("strict", 2 * MAX_LAG_FRAMES + 1),
+            mask_cells=column("mask_cells"),
+            hull_cells=column("hull_cells"),
+            change=column("change"),
+            picture_change=column("picture_change"),
+            brightness=column("brightness"),
+            contrast=column("contrast"),
+            snapshots=tuple(self._snapshots),
+        )
+
+    def _shrunk(self, masks: Sequence[Mask]) -> Small:
+        """(C, h, w) uint8: cells of which at least half is foreground."""
+        small = np.zeros((len(masks), *self._size), dtype=np.uint8)
+        for own, mask in zip(small, masks, strict=True):
+            u, v, w, h = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
+            if w == 0:
+                continue
+            # Whole cells around the foreground; what hangs over the picture's edge is cut.
+            x0, y0 = u // SHRINK, v // SHRINK
+            x1 = min(-(-(u + w) // SHRINK), mask.shape[1] // SHRINK)
+            y1 = min(-(-(v + h) // SHRINK), mask.shape[0] // SHRINK)
+            if x1 > x0 and y1 > y0:
+                part = mask[y0 * SHRINK : y1 * SHRINK, x0 * SHRINK : x1 * SHRINK].astype(np.uint8) * np.uint8(
+                    255
+                )
+                own[y0:y1, x0:x1] = cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA) >= 128
+        return small
+
+    def _silhouettes(self, masks: Sequence[Mask]) -> Small:
+        """(C, h, w) uint8 silhouettes of the others' hulls."""
+        n = len(self.rig)
+        canvas = np.zeros((n, *self._size), dtype=np.uint8)
+        # Whatever one camera is left out of, at most two votes are missing of all.
+        voxels = self._carver.carve(masks, n_faulty_views=min(2, n - 1), min_views=min(_MIN_VIEWS, n))
+        if len(voxels) == 0:
+            return canvas
+        pixels = self._carver.pixels(voxels)
+        is_miss = np.empty(pixels.shape, dtype=np.bool_)
+        for c, mask in enumerate(masks):
+            is_miss[:, c] = (pixels[:, c] >= 0) & ~mask.ravel().take(pixels[:, c], mode="clip")
+        depth = self._carver.grid.centers(voxels) @ self._axes[:, :3].T + self._axes[:, 3]
+        _kernels.paint_left_out(pixels, is_miss, depth, self._width, self._half_at_1m, SHRINK, canvas)
+        return canvas
+
+    def _look_at(self, images: Sequence[Image] | None, row: _Row) -> None:
+        if images is None:
+            return
+        samples = tuple(np.ascontiguousarray(i[:: _SAMPLE_STEPS[0], :: _SAMPLE_STEPS[1], 1]) for i in images)
+        for c, sample in enumerate(samples):
+            row.brightness[c] = sample.mean()
+            row.contrast[c] = sample.std()
+            if self._samples is not None:
+                row.picture_change[c] = cv2.absdiff(sample, self._samples[c]).mean()
+        self._samples = samples
+
+    def _compare(self) -> None:
+        """Fill in what the newest frame says about the lags between it and the frames before."""
+        now = self._recent[-1]
+        for lag in range(len(self._recent)):
+            then, row = self._recent[-1 - lag], self._rows[-1 - lag]
+            for c in range(len(self.rig)):
+                self._rows[-1].enter(c, MAX_LAG_FRAMES + lag, now, then)
+                if lag:
+                    row.enter(c, MAX_LAG_FRAMES - lag, then, now)
+
+    def _keep(self, frame: int, now: _Frame, images: Sequence[Image] | None) -> None:
+        if (len(self._rows) - 1) % self._snapshot_step:
+            return
+        pictures = None
+        if images is not None:
+            pictures = np.zeros((len(images), *self._size), dtype=np.uint8)
+            for own, image in zip(pictures, images, strict=True):
+                h, w = image.shape[0] // SHRINK, image.shape[1] // SHRINK
+                grey = cv2.extractChannel(image, 1)
+                own[:h, :w] = cv2.resize(grey, (w, h), interpolation=cv2.INTER_AREA)
+        self._snapshots.append(Snapshot(frame, now.masks, now.hulls, pictures))
+        if len(self._snapshots) >= _MAX_SNAPSHOTS:
+            self._snapshots = self._snapshots[::2]
+            self._snapshot_step *= 2
+
+
+class _Frame:
+    """Small masks and silhouettes of a frame, and of each mask the part that meets its silhouette."""
+
+    def __init__(self, masks: Small, hulls: Small) -> None:
+        self.masks, self.hulls = masks, hulls
+        self.own = np.zeros_like(masks)
+        self.rects = np.zeros((len(masks), 4), dtype=np.int64)
+        self.cells = np.zeros(len(masks), dtype=np.int64)
+        for c, (mask, hull) in enumerate(zip(masks, hulls, strict=True)):
+            # Only regions that touch the hull's silhouette: what else a camera sees, a bystander outside the
+            # room or a moving curtain, is no evidence.
+            n_labels, labels = cv2.connectedComponents(mask, connectivity=8, ltype=cv2.CV_16U)
+            is_met = np.zeros(n_labels, dtype=np.uint8)
+            is_met[labels[(hull & mask) > 0]] = 1
+            self.own[c] = is_met[labels]
+            u, v, w, h = cv2.boundingRect(self.own[c])
+            self.rects[c] = u, u + w - 1, v, v + h - 1
+            self.cells[c] = int(self.own[c].sum())
+        self.hull_cells = np.count_nonzero(hulls, axis=(1, 2))
+        # What a mask must meet: the tighter silhouette, because a camera that sees foreground everywhere bloats the
+        # other one.
+        n_tight = np.count_nonzero(hulls & 2, axis=(1, 2))
+        self.expected_cells = np.where(n_tight >= _MIN_CELLS, n_tight, self.hull_cells)
+
+
+class _Row:
+    """The numbers of one frame, C cameras."""
+
+    def __init__(self, frame: int, n_cameras: int) -> None:
+        self.frame = frame
+        lags = 2 * MAX_LAG_FRAMES + 1
+        self.uncovered = np.full((n_cameras, lags), np.nan, dtype=np.float32)
+        self.strict = np.full((n_cameras, lags), np.nan, dtype=np.float32)
+        self.mask_cells = np.zeros(n_cameras, dtype=np.int32)
+        self.hull_cells = np.zeros(n_cameras, dtype=np.int32)
+        self.change = np.full(n_cameras, np.nan, dtype=np.float32)
+        self.picture_change = np.full(n_cameras, np.nan, dtype=np.float32)
+        self.brightness = np.full(n_cameras, np.nan, dtype=np.float32)
+        self.contrast = np.full(n_cameras, np.nan, dtype=np.float32)
+
+    def enter(self, c: int, column: int, own: _Frame, other: _Frame) -> None:
+        """Compare camera c's mask in one frame with the silhouette of the others' hull in another."""
+        if other.hull_cells[c] < _MIN_CELLS:
+            return
+        common = np.zeros(2, dtype=np.int64)
+        if own.cells[c]:
+            _kernels.count_common(own.own[c], other.hulls[c], own.rects[c], common)
+        if common[0] < _TOUCH_SHARE * other.expected_cells[c]:
+            self.uncovered[c, column] = self.strict[c, column] = 1.0
+            return
+        self.uncovered[c, column] = 1.0 - common[0] / own.cells[c]
+        self.strict[c, column] = 1.0 - common[1] / own.cells[c]

@@ -1,0 +1,237 @@
+"""Each compiled loop against a plain numpy (or OpenCV, scipy) twin, on random pictures with unequal sides."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from mocap.foreground import _kernels as kernels
+
+H, W = 41, 56  # neither a multiple of the cell; W of 8
+# Residuals are rounded to 1/16 level and ratios to 1/1024: a pixel may sit on the other side of a limit.
+MAX_ROUNDED = 0.004
+
+
+def pictures(seed: int) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
+    """A smooth background and a picture with noise, a shadow and an object."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.uniform(60.0, 200.0, (4, 5, 3))
+    background = cv2.resize(coarse, (W, H), interpolation=cv2.INTER_CUBIC).clip(0, 255)
+    image = background.copy()
+    image[8:34, 6:30] *= rng.uniform(0.6, 0.9)
+    image[5:25, 24:44] = rng.uniform(0, 255, 3)
+    image += rng.normal(0.0, 2.0, image.shape)
+    return image.clip(0, 255).astype(np.uint8), background.astype(np.uint8), rng
+
+
+def far(image: np.ndarray, background: np.ndarray) -> np.ndarray:
+    return np.abs(image.astype(int) - background).max(axis=2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_difference_and_search_count(seed: int) -> None:
+    image, background, rng = pictures(seed)
+    threshold = rng.integers(1, 60, (H, W), dtype=np.uint8)
+    y0, x0, h, w = 16, 16, 20, 32
+    largest, candidate = np.zeros((h, 40), np.uint8), np.zeros((h, 40), np.uint8)
+    kernels.difference(
+        image.reshape(H, -1), background.reshape(H, -1), threshold, y0, x0, w, largest, candidate
+    )
+    expected = far(image, background)
+    np.testing.assert_array_equal(largest[:, :w], expected[y0 : y0 + h, x0 : x0 + w])
+    np.testing.assert_array_equal(
+        candidate[:, :w], (expected > threshold)[y0 : y0 + h, x0 : x0 + w].astype(np.uint8)
+    )
+    assert not largest[:, w:].any()
+    assert not candidate[:, w:].any()
+
+    cell, stride, first = kernels.CELL, 3, 1
+    counts = np.zeros((-(-H // cell), -(-W // cell)), np.int32)
+    kernels.count_differences(
+        image.reshape(H, -1), background.reshape(H, -1), threshold, first, stride, counts
+    )
+    searched = np.zeros((H, W), bool)
+    searched[first::stride] = (expected > threshold)[first::stride]
+    for cy in range(counts.shape[0]):
+        for cx in range(counts.shape[1]):
+            block = searched[cell * cy : cell * (cy + 1), cell * cx : cell * (cx + 1)]
+            assert counts[cy, cx] == np.count_nonzero(block)
+
+
+def test_median_gain_and_scaling() -> None:
+    rng = np.random.default_rng(4)
+    background = rng.integers(40, 160, (H, W, 3), dtype=np.uint8)
+    gain = np.array([0.8, 1.1, 1.3])
+    image = np.round(background * gain).clip(0, 255).astype(np.uint8)
+    excluded = (rng.random((H, W)) < 0.3).astype(np.uint8)
+    image[excluded != 0] = 7
+    found = np.empty(3)
+    n = kernels.median_gain(image.reshape(H, -1), background.reshape(H, -1), excluded, 2, found)
+    raster = excluded[1::2, 1::2] == 0
+    assert n == np.count_nonzero(raster & (image[1::2, 1::2] < 250).all(axis=2))
+    ratios = (image[1::2, 1::2] / background[1::2, 1::2].astype(float))[raster]
+    # The bins are 1/1024 wide.
+    np.testing.assert_allclose(found, np.median(ratios, axis=0), atol=2 / 1024)
+    assert (
+        kernels.median_gain(image.reshape(H, -1), background.reshape(H, -1), np.ones_like(excluded), 2, found)
+        == 0
+    )
+    np.testing.assert_array_equal(found, 1.0)
+
+    factor = np.tile(np.round(65536 / gain).astype(np.int64), W)
+    out = np.empty((H, 3 * W), np.uint8)
+    kernels.scale_rows(image.reshape(H, -1), factor, out)
+    expected = np.minimum((image.reshape(H, -1).astype(np.int64) * factor + 32768) >> 16, 255)
+    np.testing.assert_array_equal(out, expected)
+
+
+def box(plane: np.ndarray, half: int) -> np.ndarray:
+    side = 2 * half + 1
+    return cv2.boxFilter(
+        plane.astype(np.float64), -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT
+    )
+
+
+@pytest.mark.parametrize("half", [1, 2, 4])
+@pytest.mark.parametrize("seed", range(3))
+def test_shadow_test(seed: int, half: int) -> None:
+    image, background, _ = pictures(seed)
+    candidate = (far(image, background) > 6).astype(np.uint8)
+    darkest, brightest, chroma_pixel, chroma, least, edge, noise = 0.5, 1.03, 8.0, 0.03, 2.0, 0.07, 2.5
+    foreground, shadow = np.zeros((H, W), np.uint8), np.zeros((H, W), np.uint8)
+    kernels.shadow_test(
+        image.reshape(H, -1), background.reshape(H, -1), 0, 0, W, candidate, half,
+        darkest, brightest, chroma_pixel, chroma, least, edge, noise, foreground, shadow,
+    )  # fmt: skip
+    i, b = image.astype(float), background.astype(float)
+    square = (b * b).sum(axis=2) + 1
+    ratio = (i * b).sum(axis=2) / square
+    residual = i - ratio[:, :, None] * b
+    level = np.sqrt(square / 3)
+    may = (ratio > darkest) & (ratio < brightest) & (np.abs(residual).max(axis=2) < chroma_pixel)
+    number = box(may, half)
+    worst = np.max([np.abs(box(residual[:, :, c] * may, half)) for c in range(3)], axis=0)
+    neutral = worst < np.maximum(chroma * ratio * level, least) * number
+    sobel = {"ksize": 3, "scale": 1 / 8, "borderType": cv2.BORDER_REPLICATE}
+    slope = np.hypot(cv2.Sobel(ratio, cv2.CV_64F, 1, 0, **sobel), cv2.Sobel(ratio, cv2.CV_64F, 0, 1, **sobel))
+    alone = may & neutral & ((slope < edge) | (slope * level < noise))
+    votes = box(np.where(candidate > 0, np.where(alone, -1, 1), 0), half)
+    expected = (candidate > 0) & (votes >= 0)
+    np.testing.assert_array_equal(foreground + shadow, candidate)
+    assert 0.05 < expected.mean() < 0.6
+    assert shadow.any()
+    assert np.count_nonzero(foreground.astype(bool) != expected) <= MAX_ROUNDED * H * W
+
+
+def test_shadow_test_does_not_depend_on_where_the_window_lies() -> None:
+    image, background, _ = pictures(7)
+    whole = np.zeros((2, H, W), np.uint8)
+    candidate = (far(image, background) > 6).astype(np.uint8)
+    candidate[:, :12] = 0
+    candidate[:, 48:] = 0
+    arguments = (2, 0.5, 1.03, 8.0, 0.03, 2.0, 0.07, 2.5)
+    rows, back = image.reshape(H, -1), background.reshape(H, -1)
+    kernels.shadow_test(rows, back, 0, 0, W, candidate, *arguments, *whole)
+    part = np.zeros((2, H, 48), np.uint8)
+    window = np.ascontiguousarray(candidate[:, 8:])
+    kernels.shadow_test(rows, back, 0, 8, 48, window, *arguments, *part)
+    np.testing.assert_array_equal(part, whole[:, :, 8:])
+
+
+@pytest.mark.parametrize("half", [1, 3])
+def test_trim_outline(half: int) -> None:
+    rng = np.random.default_rng(9)
+    foreground = np.zeros((H, W), np.uint8)
+    cv2.ellipse(foreground, (27, 20), (17, 14), 20, 0, 360, 1, -1)
+    foreground[0:9, 0:12] = 1  # touches the border
+    square = np.ones((3, 3), np.uint8)
+    # The object is smaller than the foreground: a halo of two pixels.
+    object_ = cv2.erode(foreground, square, iterations=2)
+    largest = (object_ * 90.0 + rng.uniform(0, 12, (H, W))).astype(np.uint8)
+    core, beside = cv2.erode(foreground, square), cv2.dilate(foreground, square) ^ 1
+    deep = cv2.erode(foreground, np.ones((7, 7), np.uint8))
+    trimmed = foreground.copy()
+    kernels.trim_outline(trimmed, core, beside, deep, core * largest, beside * largest, largest, half, 0.4)
+    inside = box(core * largest, half) / np.maximum(box(core, half), 1)
+    outside = box(beside * largest, half) / np.maximum(box(beside, half), 1)
+    goes = (inside > outside) & (largest < outside + 0.4 * (inside - outside)) & (deep == 0)
+    np.testing.assert_array_equal(trimmed, foreground & ~goes)
+    assert 0 < np.count_nonzero(trimmed) < np.count_nonzero(foreground)
+
+
+@pytest.mark.parametrize("value", [0, 1])
+@pytest.mark.parametrize("density", [0.05, 0.5, 0.9])
+def test_label_regions(value: int, density: float) -> None:
+    rng = np.random.default_rng(int(100 * density) + value)
+    mask = (rng.random((H, W)) < density).astype(np.uint8)
+    mask[3:12, 8:40] = 1  # whole words of eight pixels
+    flags = (rng.random((H, W)) < 0.4).astype(np.uint8)
+    most = H * (W // 2 + 1)
+    runs = np.empty((most, 4), np.int32)
+    area, flagged = np.empty(most, np.int64), np.empty(most, np.int64)
+    n_runs, n = kernels.label_regions(mask, flags, value, value, runs, area, flagged)
+    structure = np.ones((3, 3)) if value else ndimage.generate_binary_structure(2, 1)
+    labels, expected = ndimage.label(mask == value, structure)
+    assert n == expected
+    found = np.full((H, W), -1)
+    for y, start, stop, region in runs[:n_runs]:
+        assert np.all(mask[y, start:stop] == value)
+        assert np.all(found[y, start:stop] == -1)
+        found[y, start:stop] = region
+    np.testing.assert_array_equal(found >= 0, mask == value)
+    pairs = {(int(a), int(b)) for a, b in zip(found[found >= 0], labels[found >= 0], strict=True)}
+    assert len(pairs) == n
+    np.testing.assert_array_equal(area[:n], np.bincount(found[found >= 0], minlength=n))
+    np.testing.assert_array_equal(
+        flagged[:n], np.bincount(found[found >= 0], flags[found >= 0], minlength=n).astype(np.int64)
+    )
+    chosen = np.arange(n) % 2 == 0
+    painted = mask.copy()
+    kernels.paint_regions(painted, runs, n_runs, chosen, 1 - value)
+    np.testing.assert_array_equal(
+        painted, np.where((found >= 0) & chosen[np.maximum(found, 0)], 1 - value, mask)
+    )
+
+
+def test_spans_of() -> None:
+    mask = np.zeros((4, 24), np.uint8)
+    mask[1, 5] = mask[1, 17] = mask[3, 23] = 1
+    low, high = np.empty(4, np.int64), np.empty(4, np.int64)
+    kernels.spans_of(mask, low, high)
+    assert (low[1], high[1]) == (5, 18)
+    assert (low[3], high[3]) == (23, 24)
+    assert np.all(low[[0, 2]] >= high[[0, 2]])
+
+
+@pytest.mark.parametrize("patience", [-1, 2])
+@pytest.mark.parametrize("is_protected", [False, True])
+def test_adapt_rows(patience: int, is_protected: bool) -> None:
+    image, background, rng = pictures(11)
+    mean = (background + rng.uniform(-0.4, 0.4, background.shape)).astype(np.float32)
+    threshold = np.full((H, W), 6, np.uint8)
+    near = (rng.random((H, W)) < 0.2).astype(np.uint8)
+    protect = (rng.random((H, W)) < 0.5).astype(np.uint8) if is_protected else np.zeros((0, 0), np.uint8)
+    age = rng.integers(0, 4, (H, W)).astype(np.uint16)
+    first, stride, rate = 2, 5, np.float32(0.25)
+    free = (far(image, background) <= 6) & (near == 0)
+    shielded = protect.astype(bool) if is_protected else np.zeros((H, W), bool)
+    absorbed = ~free & ~shielded & (age >= patience) if patience >= 0 else np.zeros((H, W), bool)
+    step = np.where(absorbed, 1.0, np.where(free, rate, 0.0))[:, :, None]
+    expected = mean + step * (image - mean)
+    older = np.where(free | shielded | absorbed, 0, age + 1) if patience >= 0 else age
+    out, old_mean, old_age, old_back = mean.reshape(H, -1).copy(), mean, age.copy(), background.copy()
+    kernels.adapt_rows(
+        image.reshape(H, -1), background.reshape(H, -1), out, threshold, near, protect, age,
+        first, stride, rate, patience,
+    )  # fmt: skip
+    visited = np.zeros(H, bool)
+    visited[first::stride] = True
+    np.testing.assert_allclose(out.reshape(H, W, 3)[visited], expected[visited], atol=1e-4)
+    np.testing.assert_array_equal(out.reshape(H, W, 3)[~visited], old_mean[~visited])
+    np.testing.assert_array_equal(age[visited], older[visited])
+    np.testing.assert_array_equal(age[~visited], old_age[~visited])
+    np.testing.assert_array_equal(background[~visited], old_back[~visited])
+    # Halves may round either way.
+    assert np.abs(background[visited] - expected[visited]).max() <= 0.5 + 1e-3

@@ -1,0 +1,217 @@
+"""Camera faults put into clean silhouettes of a walking person, named again with camera and frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from eval.bench.scene import person_mask, ring
+from mocap.data import VoxelGrid
+from mocap.volume import CameraFault, ConsistencyMonitor, find_camera_faults, usable_cameras
+from mocap.volume.camera_faults import background_shift, fit_states
+from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, Snapshot
+
+T, C, SIZE = 64, 7, (320, 240)
+RIG = ring(C, SIZE)
+GRID = VoxelGrid(np.array([-1.6, -1.6, 0.0]), (64, 64, 40), 0.05)
+START = 30
+FRAMES_OFF = 5  # what the issue asks for
+FIRST = 100  # number of the first frame
+PX = 3.0  # a shift in pixels, told from cells of four
+
+
+@cache
+def walk() -> tuple[tuple[np.ndarray, ...], ...]:
+    """masks[camera][frame] of a person on a circle, two centimetres in front of the last frame."""
+    frames = []
+    for f in range(T + MAX_LAG_FRAMES):
+        angle = 0.055 * f
+        place = np.array([0.8 * np.cos(angle), 0.8 * np.sin(angle)])
+        frames.append([person_mask(c, place, angle + np.pi / 2) for c in RIG])
+    return tuple(tuple(row[c] for row in frames) for c in range(C))
+
+
+def clean() -> list[list[np.ndarray]]:
+    return [list(camera[:T]) for camera in walk()]
+
+
+def find(
+    masks: list[list[np.ndarray]], images: list[list[np.ndarray]] | None = None
+) -> tuple[CameraFault, ...]:
+    monitor = ConsistencyMonitor(RIG, GRID)
+    for f in range(len(masks[0])):
+        shown = None if images is None else [camera[f] for camera in images]
+        monitor.add(FIRST + f, [camera[f] for camera in masks], shown)
+    return find_camera_faults(monitor.evidence())
+
+
+def rotated(mask: np.ndarray, c: int, rotation_deg: tuple[float, float, float]) -> np.ndarray:
+    """What the camera would have seen had it been turned (its distortion left out)."""
+    turn = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix()
+    H = RIG[c].K @ turn @ np.linalg.inv(RIG[c].K)
+    return cv2.warpPerspective(mask.astype(np.uint8), H, SIZE, flags=cv2.INTER_NEAREST).astype(bool)
+
+
+def test_clean_cameras_are_left_alone() -> None:
+    assert find(clean()) == ()
+    rng = np.random.default_rng(4)
+    noisy = clean()
+    for camera in noisy:
+        for f in range(T):
+            # specks, holes, and one mask in twenty without its lower half
+            camera[f] = (camera[f] | (rng.random(camera[f].shape) < 0.0005)) & (
+                rng.random(camera[f].shape) > 0.01
+            )
+            if rng.random() < 0.05:
+                camera[f][140:] = False
+    assert find(noisy) == ()
+
+
+def test_a_moved_camera_is_named_with_its_frame_and_shift() -> None:
+    masks = clean()
+    masks[3] = [rotated(m, 3, (0.0, 4.0, 0.0)) if f >= START else m for f, m in enumerate(masks[3])]
+    (fault,) = find(masks)
+    assert (fault.camera, fault.kind) == ("cam_3", "moved")
+    assert abs(fault.first_frame - FIRST - START) <= FRAMES_OFF
+    assert fault.is_to_end
+    assert not fault.is_from_start
+    assert fault.shift_px is not None
+    expected = RIG[3].K[0, 0] * np.tan(np.radians(4.0))
+    assert np.hypot(*fault.shift_px) == pytest.approx(expected, abs=2 * SHRINK)
+    assert fault.message.startswith(f"camera cam_3 moved at frame {fault.first_frame}")
+
+
+@pytest.mark.parametrize("lag", [2, 3, 5, -3])
+def test_a_lag_is_counted_from_its_frame_on(lag: int) -> None:
+    masks = clean()
+    masks[2] = [walk()[2][f - lag] if f >= START else m for f, m in enumerate(masks[2])]
+    (fault,) = find(masks)
+    assert (fault.camera, fault.kind, fault.lag_frames) == ("cam_2", "lag", lag)
+    assert abs(fault.first_frame - FIRST - START) <= FRAMES_OFF
+    words = "lags" if lag > 0 else "its file has lost pictures"
+    assert words in fault.message
+
+
+def test_a_lag_from_the_start_is_told_as_such() -> None:
+    masks = clean()
+    masks[5] = [walk()[5][max(f - 3, 0)] for f in range(T)]
+    (fault,) = find(masks)
+    assert (fault.camera, fault.kind, fault.lag_frames, fault.is_from_start) == ("cam_5", "lag", 3, True)
+    assert fault.message == "camera cam_5 lags 3 frames all the time"
+
+
+def test_a_frozen_camera_goes_on() -> None:
+    masks = clean()
+    masks[1] = [masks[1][START - 1] if START <= f < START + 22 else m for f, m in enumerate(masks[1])]
+    (fault,) = find(masks)
+    assert (fault.camera, fault.kind) == ("cam_1", "frozen")
+    assert abs(fault.first_frame - FIRST - START) <= FRAMES_OFF
+    assert abs(fault.last_frame - FIRST - START - 21) <= FRAMES_OFF
+    assert not fault.is_to_end
+
+
+def test_a_camera_without_masks_sees_nobody() -> None:
+    masks = clean()
+    masks[0] = [m if f < START else np.zeros_like(m) for f, m in enumerate(masks[0])]
+    (fault,) = find(masks)
+    assert (fault.camera, fault.kind) == ("cam_0", "blind")
+    assert abs(fault.first_frame - FIRST - START) <= FRAMES_OFF
+
+
+def pictures(c: int, f: int, *, shift: int = 0) -> np.ndarray:
+    """A textured room with the person in it and fresh noise, shifted by some pixels."""
+    texture = np.random.default_rng(c).integers(60, 190, (24, 32, 3)).astype(np.uint8)
+    image = cv2.resize(texture, SIZE, interpolation=cv2.INTER_NEAREST)
+    image[walk()[c][f]] = (30, 30, 220)
+    noise = np.random.default_rng((c, f)).integers(0, 6, image.shape).astype(np.uint8)
+    return np.roll(image, shift, axis=1) + noise
+
+
+def test_pictures_tell_a_black_camera_from_a_hidden_person_and_show_small_movements() -> None:
+    n = 40
+    masks = [camera[:n] for camera in clean()]
+    images = [[pictures(c, f) for f in range(n)] for c in range(C)]
+    assert find(masks, images) == ()
+    black = [list(camera) for camera in images]
+    masks_black = [list(camera) for camera in masks]
+    for f in range(25, n):
+        black[4][f] = np.zeros_like(black[4][f])
+        masks_black[4][f] = np.zeros_like(masks_black[4][f])
+    (fault,) = find(masks_black, black)
+    assert (fault.camera, fault.kind, fault.first_frame) == ("cam_4", "black", FIRST + 25)
+    # Four pixels: far too little for silhouettes.
+    moved = [list(camera) for camera in images]
+    moved[6] = [pictures(6, f, shift=4 if f >= 18 else 0) for f in range(n)]
+    (fault,) = find(masks, moved)
+    assert (fault.camera, fault.kind, fault.first_frame) == ("cam_6", "moved", FIRST + 18)
+    assert fault.shift_px == pytest.approx((4.0, 0.0), abs=1.0)
+    frozen = [list(camera) for camera in images]
+    frozen[2] = [images[2][min(f, 15)] for f in range(n)]
+    (fault,) = find([*masks[:2], [masks[2][min(f, 15)] for f in range(n)], *masks[3:]], frozen)
+    assert (fault.camera, fault.kind) == ("cam_2", "frozen")
+    assert abs(fault.first_frame - FIRST - 16) <= FRAMES_OFF
+
+
+def test_a_change_of_all_cameras_is_no_cameras_fault() -> None:
+    masks = clean()
+    for c in range(C):
+        # a stripe of false foreground beside the person, another one in each camera
+        masks[c] = [
+            m | np.roll(m, 40 if c % 2 else -40, axis=1) if f >= START else m for f, m in enumerate(masks[c])
+        ]
+    faults = find(masks)
+    assert all(f.camera == "" and f.kind == "scene" for f in faults)
+
+
+def test_background_shift_by_tracking() -> None:
+    empty = np.zeros((1, 60, 80), dtype=np.uint8)
+    small = [pictures(0, 0, shift=s)[::SHRINK, ::SHRINK, 1][None] for s in (0, 8)]
+    first, second = (Snapshot(0, empty, empty, p) for p in small)
+    shift = background_shift(first, second, 0)
+    assert shift is not None
+    assert shift == pytest.approx([2.0, 0.0], abs=0.2)
+    flat = replace(first, pictures=np.full_like(small[0], 90))
+    assert background_shift(flat, second, 0) is None
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=30)
+def test_the_fit_is_the_cheapest_of_all_sequences(seed: int) -> None:
+    """Against all 4^6 sequences of states of six frames and three lags."""
+    rng = np.random.default_rng(seed)
+    shares = np.where(rng.random((6, 3)) < 0.15, np.nan, rng.choice([0.0, 0.02, 0.1, 0.4], (6, 3)))
+    states, cost = fit_states(shares, 0.01)
+
+    def price(sequence: np.ndarray) -> float:
+        changes = np.count_nonzero(np.diff(sequence)) + (sequence[0] != 1)
+        return float(cost[np.arange(6), sequence].sum() + 12.0 * changes)
+
+    everything = np.stack(np.meshgrid(*[np.arange(4)] * 6, indexing="ij"), axis=-1).reshape(-1, 6)
+    best = min(price(s) for s in everything)
+    assert price(states) == pytest.approx(best)
+
+
+def test_usable_cameras_by_frame() -> None:
+    faults = (
+        CameraFault("b", "moved", 12, 15, False, False),
+        CameraFault("", "scene", 11, 15, False, True),
+        CameraFault("c", "black", 10, 11, True, False),
+        CameraFault("a", "lag", 10, 15, True, True, lag_frames=1),
+    )
+    usable = usable_cameras(faults, ("a", "b", "c"), np.arange(10, 16))
+    assert usable[:, 0].all()
+    np.testing.assert_array_equal(usable[:, 1], [True, True, False, False, False, False])
+    np.testing.assert_array_equal(usable[:, 2], [False, False, True, True, True, True])
+
+
+def test_too_little_to_tell_from() -> None:
+    assert find([camera[:4] for camera in clean()]) == ()
+    nobody = [[np.zeros_like(m) for m in camera[:8]] for camera in clean()]
+    assert find(nobody) == ()
