@@ -106,14 +106,14 @@ def prepare(work: Path, n_frames: int) -> Clip:
     folder = work / f"{SCENE}_masks"
     if not folder.exists():
         synthesise(load_scene(SCENE).model_copy(update={"masks_only": True}), folder)
+    # A folder per length, so that two evaluations do not share a store.
+    home = work / f"start_{n_frames}"
     frames = range(1, n_frames + 1)
     config = load_config("default", ("output.formats=[]",))
-    result = run_session(
-        folder, work / "start", config=config, until="pose", frames=(0, n_frames + 1), resume=True
-    )
+    result = run_session(folder, home, config=config, until="pose", frames=(0, n_frames + 1), resume=True)
     pose = result.poses[0]
     start = pose.states[0]
-    store = StageStore(work / "start" / "store.zarr")
+    store = StageStore(home / "store.zarr")
     grid = stored_grid(store)
     hulls, owners = store.reader("carve"), store.reader("track-owners")
     reference = load_config("reference")

@@ -61,6 +61,8 @@ FOREGROUND = np.uint8(1)
 SHADOW = np.uint8(2)
 _LEVELS = 16  # fixed point of colour residuals: 1/16 grey level at best
 _RATIO = 1024  # fixed point of brightness ratios
+_BLOCK = 32  # 16-bit numbers that one instruction handles at most
+_SPARE = 2 * _BLOCK
 _RATIO_BINS = 2048  # of the histogram over ratios 0 .. 2
 
 
@@ -183,6 +185,11 @@ def spans_of(mask, low, high):
             high[y] -= 1
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _whole_blocks(n):
+    return (n + np.uint64(_BLOCK - 1)) // np.uint64(_BLOCK) * np.uint64(_BLOCK)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def shadow_test(
     rows, background, y0, x0, w, candidate, half, darkest, brightest, chroma_pixel, chroma, least_chroma, edge, noise,
@@ -208,12 +215,14 @@ def shadow_test(
     # loop has few arrays, because the compiler tests every pair of them for overlap and else gives up, too.
     zero, one, two, three = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
     side, wide = np.uint64(half), np.uint64(2 * half + 1)
-    pad = w + 2 * half  # planes have `half` columns of zeros on both sides
+    # Planes have `half` columns of zeros on both sides, and spare ones: sums are made of whole blocks of pixels, because
+    # the remainders of short rows would take longer than the blocks.
+    pad = w + 2 * half + _SPARE
     red, green = np.empty((h, pad), np.int16), np.empty((h, pad), np.int16)
     blue, may = np.empty((h, pad), np.int16), np.empty((h, pad), np.int16)
     for plane in (red, green, blue, may):
         plane[:, :half] = 0
-        plane[:, half + w :] = 0
+        plane[:, half + w : 2 * half + w] = 0
     ratio = np.empty((h, w + 2), dtype=np.int16)
     level = np.empty((h, w), dtype=np.uint8)
     real = np.empty((6, w), dtype=np.float32)
@@ -257,20 +266,21 @@ def shadow_test(
     share, least = np.float32(chroma * scale / _RATIO), np.float32(least_chroma * scale)
     vote = np.zeros((h, pad), dtype=np.int16)
     sums = np.empty((4, pad), dtype=np.int16)
-    total = np.empty((4, w), dtype=np.int16)
+    total = np.empty((4, w + _SPARE), dtype=np.int16)
     for row in range(h):
         if low[row] >= high[row]:
             continue
         y, x, n = np.uint64(row), np.uint64(low[row]), np.uint64(high[row] - low[row])
+        m = _whole_blocks(n)
         _column_sums(red, row, half, x, n, sums, zero)
         _column_sums(green, row, half, x, n, sums, one)
         _column_sums(blue, row, half, x, n, sums, two)
         _column_sums(may, row, half, x, n, sums, three)
         for p in range(zero, np.uint64(4)):
-            for i in range(zero, n):
+            for i in range(zero, m):
                 total[p, i] = sums[p, i]
             for d in range(one, wide):
-                for i in range(zero, n):
+                for i in range(zero, m):
                     total[p, i] += sums[p, i + d]
         above, below = np.uint64(max(row - 1, 0)), np.uint64(min(row + 1, h - 1))
         for i in range(zero, n):
@@ -306,11 +316,12 @@ def shadow_test(
         if low[row] >= high[row]:
             continue
         y, x, n = np.uint64(row), np.uint64(low[row]), np.uint64(high[row] - low[row])
+        m = _whole_blocks(n)
         _column_sums(vote, row, half, x, n, sums, zero)
-        for i in range(zero, n):
+        for i in range(zero, m):
             total[0, i] = sums[0, i]
         for d in range(one, wide):
-            for i in range(zero, n):
+            for i in range(zero, m):
                 total[0, i] += sums[0, i + d]
         for i in range(zero, n):
             yes = np.uint8(total[0, i] >= 0)
@@ -320,8 +331,11 @@ def shadow_test(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _column_sums(plane, row, half, x, n, sums, p):
-    """sums[p, i] = sum of column x + i over the rows within `half` of one, for the n + 2 half columns from x on."""
-    zero, end = np.uint64(0), n + np.uint64(2 * half)
+    """sums[p, i] = sum of column x + i over the rows within `half` of one, for the n + 2 half columns from x on.
+
+    Rounded up to whole blocks: what the spare columns hold is never used.
+    """
+    zero, end = np.uint64(0), _whole_blocks(n + np.uint64(2 * half))
     first = np.uint64(max(row - half, 0))
     for i in range(zero, end):
         sums[p, i] = plane[first, x + i]
@@ -342,14 +356,15 @@ def trim_outline(foreground, core, beside, deep, core_far, beside_far, largest, 
     h, w = foreground.shape
     low, high = np.empty(h, np.int64), np.empty(h, np.int64)
     spans_of(foreground, low, high)
-    sums = np.empty((4, w + 2 * half), dtype=np.uint16)
-    total = np.empty((4, w), dtype=np.uint32)
+    sums = np.zeros((4, w + 2 * half + _SPARE), dtype=np.uint16)
+    total = np.empty((4, w + _SPARE), dtype=np.uint32)
     zero, one = np.uint64(0), np.uint64(1)
     for row in range(h):
         if low[row] >= high[row]:
             continue
         begin, end = max(low[row] - half, 0), min(high[row] + half, w)
         n, m = np.uint64(high[row] - low[row]), np.uint64(end - begin)
+        blocks = _whole_blocks(n)
         # Columns beyond the window count nothing.
         left = begin - (low[row] - half)
         sums[:, :left] = 0
@@ -359,10 +374,10 @@ def trim_outline(foreground, core, beside, deep, core_far, beside_far, largest, 
         _column_sums_of_bytes(beside_far, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(2))
         _column_sums_of_bytes(beside, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(3))
         for p in range(zero, np.uint64(4)):
-            for i in range(zero, n):
+            for i in range(zero, blocks):
                 total[p, i] = sums[p, i]
             for d in range(one, np.uint64(2 * half + 1)):
-                for i in range(zero, n):
+                for i in range(zero, blocks):
                     total[p, i] += sums[p, i + d]
         y, x = np.uint64(row), np.uint64(low[row])
         for i in range(zero, n):

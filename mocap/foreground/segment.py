@@ -435,7 +435,8 @@ def _closed(
     beside = cv2.dilate(mask, _square(3)) ^ 1
     total = cv2.boxFilter(largest * beside, cv2.CV_16S, (5, 5), normalize=False)
     count = cv2.boxFilter(beside, cv2.CV_16S, (5, 5), normalize=False)
-    hint = (total >= weak_level * count).view(np.uint8) & (shadow ^ 1)
+    # In whole numbers of half a level, which 16 bits hold: no sum exceeds 25 x 255.
+    hint = (2 * total >= np.int16(min(round(2 * weak_level), 500)) * count).view(np.uint8) & (shadow ^ 1)
     closing = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _disc(_odd(_scaled_px(s.closing_hint_px, shape))))
     mask |= closing & hint
     holes = _regions(mask, differs | hint, 0)

@@ -64,7 +64,9 @@ def read_marker_labels(path: Path, rig: CameraRig) -> dict[str, tuple[NDArray[np
     """
     frame, cameras, uv = read_marker_labels_csv(path)
     if not len(frame):
-        raise MocapError("there are no labels in the file", path=path, remedy="label the markers of one frame")
+        raise MocapError(
+            "there are no labels in the file", path=path, remedy="label the markers of one frame"
+        )
     out = {}
     for name in dict.fromkeys(cameras):
         if name not in rig.names:

@@ -78,10 +78,10 @@ def closest_cells(uv, first, lower, n_cells, cell_first, side, gate, start, stop
             nx = n_cells[c, 0]
             ny = n_cells[c, 1]
             for q in range(first[c], first[c + 1]):
-                x0 = max(0, int(math.floor((uv[q, 0] - gate - lower[c, 0]) / side)))
-                x1 = min(nx - 1, int(math.floor((uv[q, 0] + gate - lower[c, 0]) / side)))
-                y0 = max(0, int(math.floor((uv[q, 1] - gate - lower[c, 1]) / side)))
-                y1 = min(ny - 1, int(math.floor((uv[q, 1] + gate - lower[c, 1]) / side)))
+                x0 = max(0, math.floor((uv[q, 0] - gate - lower[c, 0]) / side))
+                x1 = min(nx - 1, math.floor((uv[q, 0] + gate - lower[c, 0]) / side))
+                y0 = max(0, math.floor((uv[q, 1] - gate - lower[c, 1]) / side))
+                y1 = min(ny - 1, math.floor((uv[q, 1] + gate - lower[c, 1]) / side))
                 for y in range(y0, y1 + 1):
                     low_v = lower[c, 1] + y * side - uv[q, 1]
                     far_v = max(abs(low_v), abs(low_v + side))

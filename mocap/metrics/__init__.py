@@ -2,6 +2,7 @@
 
 from mocap.metrics.angles import ANGLES, AngleScores, angle_scores, joint_angles
 from mocap.metrics.evaluate import associate_persons, evaluate, length_unit
+from mocap.metrics.limbs import LimbScores, limb_scores, share_in_hull
 from mocap.metrics.points import (
     PointScores,
     epsilon_lilliefors,
@@ -21,6 +22,7 @@ __all__ = [
     "ANGLES",
     "AngleScores",
     "CoverageScores",
+    "LimbScores",
     "PointScores",
     "TrackingScores",
     "VolumeScores",
@@ -33,11 +35,13 @@ __all__ = [
     "evaluate",
     "joint_angles",
     "length_unit",
+    "limb_scores",
     "lost_wrist_percent",
     "offset_corrected",
     "pck_percent",
     "point_errors",
     "point_scores",
+    "share_in_hull",
     "sum_volume_scores",
     "tracking_scores",
     "volume_scores",

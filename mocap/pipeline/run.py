@@ -156,9 +156,7 @@ def run_session(
     if last >= 3 and kind == "markers":
         do(
             "pose",
-            lambda: stages.marker_pose_stage(
-                session, config, store, keys["pose"], seed=seed, progress=tick
-            ),
+            lambda: stages.marker_pose_stage(session, config, store, keys["pose"], seed=seed, progress=tick),
         )
         tracks = stages.stored_tracks(store, session.fps)
         numbers["track"] = {"n_persons": len(tracks.persons)}

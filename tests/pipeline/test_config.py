@@ -129,13 +129,24 @@ def test_hash_knows_every_value_and_nothing_else() -> None:
 
 def test_every_key_has_a_docstring_or_a_unit() -> None:
     """House rule: a docstring under each field, or a name that says all."""
+    sections = {n: f for n, f in Config.model_fields.items() if isinstance(f.annotation, type)}
     missing = [
         f"{section}.{name}"
-        for section, field in Config.model_fields.items()
+        for section, field in sections.items()
         for name, inner in field.annotation.model_fields.items()  # type: ignore[union-attr]
         if not inner.description and not name.endswith(("_m", "_deg", "_s"))
     ]
+    missing += [n for n, f in Config.model_fields.items() if n not in sections and not f.description]
     assert not [m for m in missing if m not in ("pose.resampling", "output.formats", "output.report_cameras")]
+
+
+def test_the_observation_is_set_without_a_section() -> None:
+    assert load_config().observation == "auto"
+    assert load_config("default", ("observation=markers",)).observation == "markers"
+    with pytest.raises(MocapError, match="observation"):
+        load_config("default", ("observation=sound",))
+    with pytest.raises(MocapError, match="cannot read the setting"):
+        load_config("default", ("n_layers=3",))
 
 
 ADDRESS = st.tuples(

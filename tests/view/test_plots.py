@@ -16,9 +16,9 @@ from mocap.view.plots import (
     plot_error_over_time,
     plot_filter_health,
     plot_foreground_share,
-    plot_mask_quality,
     plot_joint_angles,
     plot_landmark_errors,
+    plot_mask_quality,
     plot_stage_timing,
     plot_track_map,
 )

@@ -238,8 +238,6 @@ def marker_pose_stage(
 def _track_of(poses: PersonPoses | None, fps: float) -> Tracks:
     """The person's path: centre of its flesh."""
     if poses is None:
-        return Tracks(
-            np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3))
-        )
+        return Tracks(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)))
     person = np.full(len(poses.frames), poses.person, dtype=np.int64)
     return Tracks(poses.frames, person, poses.frames / fps, flesh_centroids(poses.body, poses.states))

@@ -1,0 +1,111 @@
+"""The segmentation stage on a session of drawn pictures: regions of interest, numbers, advice, keys."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mocap.data import Camera, CameraRig
+from mocap.errors import MocapError
+from mocap.io.calibration import write_calibration
+from mocap.io.session import open_session
+from mocap.io.store import StageStore
+from mocap.pipeline.config import load_config
+from mocap.pipeline.run import stage_keys
+from mocap.pipeline.stages.segment import (
+    masks_from_arrays,
+    region_of_interest,
+    segment_report,
+    segment_stage,
+)
+
+SIZE = (96, 80)
+NAMES = ("left", "middle", "right")
+N_FRAMES = 7
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Three cameras that see the same: a dark block that wanders, and in `left` a lamp that blinks in its middle."""
+    K = np.array([[90.0, 0.0, 47.5], [0.0, 90.0, 39.5], [0.0, 0.0, 1.0]])
+    cameras = []
+    for i, name in enumerate(NAMES):
+        a = 2.0 * i
+        R = np.array([[-np.sin(a), np.cos(a), 0.0], [0.0, 0.0, -1.0], [-np.cos(a), -np.sin(a), 0.0]])
+        centre = np.array([3 * np.cos(a), 3 * np.sin(a), 1.2])
+        cameras.append(Camera(name, SIZE, K, np.zeros(5), R, -R @ centre))
+    write_calibration(tmp_path / "calibration.toml", CameraRig(tuple(cameras)))
+    rng = np.random.default_rng(3)
+    for name in NAMES:
+        for folder, n in (("background", 5), ("images", N_FRAMES)):
+            for f in range(n):
+                picture = np.full((SIZE[1], SIZE[0], 3), 120.0)
+                if folder == "images":
+                    picture[20:60, 10 + 5 * f : 34 + 5 * f] = (40, 30, 90)
+                    if name == "left" and f % 2:
+                        picture[34:46, 36:44] = 120.0  # always inside the block
+                path = tmp_path / folder / name / f"{f:03d}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                noisy = np.clip(picture + rng.normal(0, 1.5, picture.shape), 0, 255).astype(np.uint8)
+                assert cv2.imwrite(str(path), noisy)
+    (tmp_path / "session.toml").write_text("fps = 10\n")
+    return tmp_path
+
+
+def segmented(root: Path, out: Path) -> tuple[StageStore, np.ndarray]:
+    session = open_session(root)
+    store = StageStore(out)
+    segment_stage(session, load_config(), store, "key", n_threads=2, progress=lambda *_: None)
+    masks = [masks_from_arrays(arrays, session) for _, arrays in store.reader("segment")]
+    return store, np.array(masks)
+
+
+def test_report_names_the_camera_that_flickers(root: Path, tmp_path: Path) -> None:
+    store, masks = segmented(root, tmp_path / "store.zarr")
+    assert masks.shape == (N_FRAMES, len(NAMES), SIZE[1], SIZE[0])
+    report = segment_report(store, open_session(root))
+    numbers = report.numbers["cameras"]
+    assert set(numbers) == set(NAMES)
+    assert numbers["middle"]["flicker"] == 0.0
+    assert numbers["left"]["flicker"] > 0.02
+    assert numbers["left"]["shadow_share"] == 0.0
+    assert numbers["left"]["residual"] is None
+    assert [w for w in report.warnings if "flicker" in w] == [
+        w for w in report.warnings if w.startswith("camera left:") and "flicker" in w
+    ]
+    assert any("flicker" in w for w in report.warnings)
+
+
+def test_region_of_interest_from_a_picture_and_a_polygon(root: Path, tmp_path: Path) -> None:
+    before = stage_keys(open_session(root), load_config(), 0)["segment"]
+    picture = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    picture[:, :48] = 255
+    (root / "roi").mkdir()
+    assert cv2.imwrite(str(root / "roi" / "left.png"), picture)
+    drawn = stage_keys(open_session(root), load_config(), 0)["segment"]
+    (root / "session.toml").write_text("fps = 10\n[roi_px]\nright = [[0, 40], [95, 40], [95, 79], [0, 79]]\n")
+    session = open_session(root)
+    assert len({before, drawn, stage_keys(session, load_config(), 0)["segment"]}) == 3
+    np.testing.assert_array_equal(region_of_interest(session, session.rig["left"]), picture > 0)
+    assert region_of_interest(session, session.rig["middle"]) is None
+    _, masks = segmented(root, tmp_path / "store.zarr")
+    assert not masks[:, 0, :, 48:].any()
+    assert masks[:, 0, :, :48].any()
+    assert masks[:, 1, :, 48:].any()
+    assert not masks[:, 2, :40].any()
+    assert masks[:, 2, 40:].any()
+
+
+def test_a_region_that_holds_nothing_is_refused(root: Path) -> None:
+    (root / "roi").mkdir()
+    assert cv2.imwrite(str(root / "roi" / "middle.png"), np.zeros((SIZE[1], SIZE[0]), np.uint8))
+    session = open_session(root)
+    with pytest.raises(MocapError, match="holds no pixel") as caught:
+        region_of_interest(session, session.rig["middle"])
+    assert caught.value.camera == "middle"
+    assert cv2.imwrite(str(root / "roi" / "middle.png"), np.full((SIZE[1], SIZE[0] + 1), 255, np.uint8))
+    with pytest.raises(MocapError):
+        region_of_interest(session, session.rig["middle"])
