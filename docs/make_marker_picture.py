@@ -20,7 +20,7 @@ from mocap.view import crop, draw_body, draw_skeleton, person_window
 from mocap.view.detections import draw_detections
 
 PICTURE = Path(__file__).with_name("pictures") / "markers.jpg"
-FRAME, CAMERAS, HEIGHT_PX = 40, (0, 3), 330
+FRAME, CAMERAS, HEIGHT_PX = 40, (0, 3), 270
 
 
 def main(argv: list[str]) -> int:
@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
             tile = crop(picture, window, scale=HEIGHT_PX / (window[3] - window[1]))
             tiles.append(cv2.resize(tile, (round(tile.shape[1] * HEIGHT_PX / tile.shape[0]), HEIGHT_PX)))
     sheet = np.concatenate(tiles, axis=1)
-    cv2.imwrite(str(PICTURE), sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+    cv2.imwrite(str(PICTURE), sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 76])
     print(f"{PICTURE.name}: {PICTURE.stat().st_size} bytes, {sheet.shape[1]} x {sheet.shape[0]}")
     return 0
 

@@ -257,7 +257,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         axes[5].bar(at + 0.27 * (k - 1), values, 0.26, label=label)
     axes[5].set_xticks(at, actions)
     axes[5].set(ylabel="MMTA, %", ylim=(0, 119))
-    axes[5].legend(fontsize=8, loc="upper center", ncols=3)
+    axes[5].legend(fontsize=6.5, loc="upper center", ncols=3, columnspacing=1.0)
     figure.savefig(path, dpi=90)
 
 

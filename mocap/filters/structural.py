@@ -15,7 +15,12 @@ Array = NDArray[np.float64]
 
 
 def backward(
-    particles: Array, weights: Array, levels: LevelsOf, n_particles: Sequence[int], *, rng: np.random.Generator
+    particles: Array,
+    weights: Array,
+    levels: LevelsOf,
+    n_particles: Sequence[int],
+    *,
+    rng: np.random.Generator,
 ) -> list[Array]:
     """G_backward: a particle set for every model from that of the finest one, (N_i, D) each, coarse to fine.
 
@@ -55,7 +60,13 @@ def forward(
 
 
 def level_std(
-    levels: LevelsOf, index: int, std: Array, n_layers: Sequence[int], *, alpha: float, alpha_structural: float
+    levels: LevelsOf,
+    index: int,
+    std: Array,
+    n_layers: Sequence[int],
+    *,
+    alpha: float,
+    alpha_structural: float,
 ) -> Array:
     """Standard deviations (D,) of the first layer of model `index`; 0 in columns it does not have.
 

@@ -23,6 +23,7 @@ from mocap.filters import (
     shbm_step,
 )
 from mocap.filters.crossing import CROSS_EVERY, CROSSING, N_PARTITIONS, mirror
+from mocap.filters.shbm import structural_noise
 from mocap.filters.structural import (
     backward,
     effective_particles,
@@ -138,6 +139,14 @@ def test_noise_of_the_three_models_is_as_printed() -> None:
     np.testing.assert_allclose(variance[0], [1, 0, 0, 0, 0])
     np.testing.assert_allclose(variance[1], [0.8 * 0.5**2, 1, 1, 0, 0])
     np.testing.assert_allclose(variance[2], [0.8**2 * 0.5**2 * 0.5**3, 0.8 * 0.5**3, 0.8 * 0.5**3, 1, 1])
+
+
+def test_noise_of_all_layers_together_is_the_sum_of_their_variances() -> None:
+    """Closed form for one column of each model: layers (2, 3, 1), alpha = 0.5, alpha_S = 0.8."""
+    variance = structural_noise(LEVELS, settings()) ** 2 / STD**2
+    first = 1.5 + 0.8 * 0.25 * 1.75 + 0.64 * 0.03125
+    second = 1.75 + 0.8 * 0.125
+    np.testing.assert_allclose(variance, [first, second, second, 1.0, 1.0])
 
 
 def test_particles_are_shared_out_by_dimensions() -> None:

@@ -338,6 +338,24 @@ def test_a_problem_has_one_column_per_part_or_one(coarse_flesh: Flesh, volume: P
     assert np.isfinite(parts).all()
 
 
+def test_own_occupancy_leaves_out_what_another_part_holds(coarse_flesh: Flesh, volume: PackedVolume) -> None:
+    """An arm sunk into the torso lies in data, but hardly in data of its own; a part alone owns all it lies in."""
+    body = coarse_flesh.body
+    names, parts = body.layout.names, body.layout.parts
+    sunk = neutral_state(body)
+    sunk[names.index("right_elbow_z")] = 2.5
+    sunk[names.index("right_shoulder_y")] = -1.4
+    problem = VoxelProblem(body, coarse_flesh.table, volume, VoxelLikelihoodSettings())
+    forearm = parts.index("right_forearm")
+    occupied = problem.occupancy(sunk[None])[0]
+    own = problem.occupancy(sunk[None], own=True)[0]
+    assert np.all(own <= occupied)
+    assert np.all(own >= 0)
+    assert own[forearm] < 0.6 * occupied[forearm]
+    alone = problem.occupancy(sunk[None], [forearm], own=True)
+    np.testing.assert_array_equal(alone[0], occupied[[forearm]])
+
+
 def test_bad_input_is_refused(coarse_flesh: Flesh, volume: PackedVolume) -> None:
     grid = VoxelGrid(np.zeros(3), (3, 4, 5), 0.1)
     for crop in (np.zeros((3, 4), np.uint8), np.zeros((3, 4, 5)), np.zeros((3, 4, 5), np.int8)):
