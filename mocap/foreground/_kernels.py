@@ -164,6 +164,25 @@ def scale_rows(rows, factor, out):
 
 
 @njit(cache=True, nogil=True)
+def majority(mask, out):
+    """out = 1 where at least five of the 3 x 3 pixels about one are, the median; edges are repeated beyond the border.
+
+    mask, out : (h, w) uint8 of 0 and 1, h and w at least 2.
+    """
+    h, w = mask.shape
+    column = np.empty(w + 2, dtype=np.uint8)
+    for y in range(h):
+        above, here, below = mask[max(y - 1, 0)], mask[y], mask[min(y + 1, h - 1)]
+        inner = column[1 : w + 1]
+        for i in range(w):
+            inner[i] = above[i] + here[i] + below[i]
+        column[0], column[w + 1] = column[1], column[w]
+        right, o = column[2:], out[y]
+        for i in range(w):
+            o[i] = np.uint8(np.uint8(column[i] + inner[i] + right[i]) >= np.uint8(5))
+
+
+@njit(cache=True, nogil=True)
 def spans_of(mask, low, high):
     """First column that is not 0 and the one after the last, per row; (w, 0) for a row of zeros.
 
@@ -356,36 +375,33 @@ def trim_outline(foreground, core, beside, deep, core_far, beside_far, largest, 
     h, w = foreground.shape
     low, high = np.empty(h, np.int64), np.empty(h, np.int64)
     spans_of(foreground, low, high)
-    sums = np.zeros((4, w + 2 * half + _SPARE), dtype=np.uint16)
-    total = np.empty((4, w + _SPARE), dtype=np.uint32)
-    zero, one = np.uint64(0), np.uint64(1)
+    sums = np.zeros((4, w + 2 * half), dtype=np.uint16)
     for row in range(h):
         if low[row] >= high[row]:
             continue
         begin, end = max(low[row] - half, 0), min(high[row] + half, w)
-        n, m = np.uint64(high[row] - low[row]), np.uint64(end - begin)
-        blocks = _whole_blocks(n)
+        m = np.uint64(end - begin)
         # Columns beyond the window count nothing.
         left = begin - (low[row] - half)
         sums[:, :left] = 0
         sums[:, left + end - begin : high[row] - low[row] + 2 * half] = 0
-        _column_sums_of_bytes(core_far, row, half, np.uint64(begin), m, np.uint64(left), sums, zero)
-        _column_sums_of_bytes(core, row, half, np.uint64(begin), m, np.uint64(left), sums, one)
+        _column_sums_of_bytes(core_far, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(0))
+        _column_sums_of_bytes(core, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(1))
         _column_sums_of_bytes(beside_far, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(2))
         _column_sums_of_bytes(beside, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(3))
-        for p in range(zero, np.uint64(4)):
-            for i in range(zero, blocks):
-                total[p, i] = sums[p, i]
-            for d in range(one, np.uint64(2 * half + 1)):
-                for i in range(zero, blocks):
-                    total[p, i] += sums[p, i + d]
-        y, x = np.uint64(row), np.uint64(low[row])
-        for i in range(zero, n):
-            if foreground[y, x + i] != 0 and deep[y, x + i] == 0:
-                inside = total[0, i] / max(total[1, i], 1)
-                outside = total[2, i] / max(total[3, i], 1)
-                if inside > outside and largest[y, x + i] < outside + share * (inside - outside):
-                    foreground[y, x + i] = 0
+        for x in range(low[row], high[row]):
+            if foreground[row, x] == 0 or deep[row, x] != 0:
+                continue
+            t0, t1, t2, t3 = 0, 0, 0, 0
+            for i in range(x - low[row], x - low[row] + 2 * half + 1):
+                t0 += sums[0, i]
+                t1 += sums[1, i]
+                t2 += sums[2, i]
+                t3 += sums[3, i]
+            inside = t0 / max(t1, 1)
+            outside = t2 / max(t3, 1)
+            if inside > outside and largest[row, x] < outside + share * (inside - outside):
+                foreground[row, x] = 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -478,6 +494,17 @@ def _root(runs, i):
         runs[i, 3] = runs[runs[i, 3], 3]
         i = runs[i, 3]
     return i
+
+
+@njit(cache=True, nogil=True)
+def bounds_of(runs, n_runs, chosen):
+    """First row, row after the last, first column, column after the last of the chosen regions; zeros for none."""
+    y0, y1, x0, x1 = np.int32(1 << 30), np.int32(0), np.int32(1 << 30), np.int32(0)
+    for i in range(n_runs):
+        if chosen[runs[i, 3]]:
+            y0, y1 = min(y0, runs[i, 0]), max(y1, runs[i, 0] + 1)
+            x0, x1 = min(x0, runs[i, 1]), max(x1, runs[i, 2])
+    return (y0, y1, x0, x1) if y1 > 0 else (0, 0, 0, 0)
 
 
 @njit(cache=True, nogil=True)

@@ -282,12 +282,12 @@ class Segmenter:
         """
         s = self.settings
         width = window.x1 - window.x0
-        planes = np.zeros((4, window.y1 - window.y0, -(-width // 8) * 8), dtype=np.uint8)
-        largest, candidate, foreground, dark = planes
+        planes = np.zeros((5, window.y1 - window.y0, -(-width // 8) * 8), dtype=np.uint8)
+        largest, candidate, solid, foreground, dark = planes
         _kernels.difference(
             rows, self._background, self._threshold, window.y0, window.x0, width, largest, candidate
         )
-        solid = cv2.medianBlur(candidate, 3)
+        _kernels.majority(candidate, solid)
         # The window averages noise, which small pictures have no less of.
         side = _odd(max(_scaled_px(s.shadow_window_px, self.shape), s.shadow_window_px))
         _kernels.shadow_test(
@@ -303,7 +303,9 @@ class Segmenter:
         _kernels.paint_regions(foreground, specks.runs, specks.n_runs, drop, 0)
         # What follows touches only the surroundings of the foreground, which are often a small part of the window.
         longest = max(s.closing_px, s.closing_hint_px, s.outline_window_px)
-        rows_of, columns_of = _around(foreground, 1 + _odd(_scaled_px(longest, self.shape)))
+        rows_of, columns_of = _around(
+            specks, ~drop, 1 + _odd(_scaled_px(longest, self.shape)), foreground.shape
+        )
         inside, dark_inside, differs, far = (
             np.ascontiguousarray(p[rows_of, columns_of]) for p in (foreground, dark, solid, largest)
         )
@@ -397,11 +399,11 @@ def _strong(largest: Bytes, s: ForegroundSettings) -> Bytes:
     return cv2.threshold(largest, s.strong_difference, 1, cv2.THRESH_BINARY)[1]
 
 
-def _around(mask: Bytes, margin: int) -> tuple[slice, slice]:
-    """Rows and columns of what is not 0, with a margin; columns are multiples of 8."""
-    x, y, w, h = cv2.boundingRect(mask)
-    rows = slice(max(y - margin, 0), min(y + h + margin, mask.shape[0]))
-    return rows, slice(max(x - margin, 0) // 8 * 8, min((x + w + margin + 7) // 8 * 8, mask.shape[1]))
+def _around(regions: _Regions, chosen: Mask, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of the chosen regions with a margin; columns are multiples of 8."""
+    y0, y1, x0, x1 = _kernels.bounds_of(regions.runs, regions.n_runs, chosen)
+    rows = slice(max(y0 - margin, 0), min(y1 + margin, shape[0]))
+    return rows, slice(max(x0 - margin, 0) // 8 * 8, min((x1 + margin + 7) // 8 * 8, shape[1]))
 
 
 def _trim_outline(foreground: Bytes, largest: Bytes, s: ForegroundSettings, shape: tuple[int, ...]) -> None:

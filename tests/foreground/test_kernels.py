@@ -235,3 +235,23 @@ def test_adapt_rows(patience: int, is_protected: bool) -> None:
     np.testing.assert_array_equal(background[~visited], old_back[~visited])
     # Halves may round either way.
     assert np.abs(background[visited] - expected[visited]).max() <= 0.5 + 1e-3
+
+
+@pytest.mark.parametrize("density", [0.3, 0.6])
+def test_majority_is_the_median(density: float) -> None:
+    mask = (np.random.default_rng(5).random((H, W)) < density).astype(np.uint8)
+    out = np.empty_like(mask)
+    kernels.majority(mask, out)
+    np.testing.assert_array_equal(out, cv2.medianBlur(mask, 3))
+
+
+def test_bounds_of() -> None:
+    mask = np.zeros((H, W), np.uint8)
+    mask[4:9, 10:21] = mask[20:33, 30:40] = 1
+    runs = np.empty((H * (W // 2 + 1), 4), np.int32)
+    area, flagged = np.empty(len(runs), np.int64), np.empty(len(runs), np.int64)
+    n_runs, n = kernels.label_regions(mask, mask, 1, 1, runs, area, flagged)
+    assert n == 2
+    assert kernels.bounds_of(runs, n_runs, np.array([True, True])) == (4, 33, 10, 40)
+    assert kernels.bounds_of(runs, n_runs, np.array([False, True])) == (20, 33, 30, 40)
+    assert kernels.bounds_of(runs, n_runs, np.array([False, False])) == (0, 0, 0, 0)
