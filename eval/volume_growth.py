@@ -46,7 +46,10 @@ class Setting:
 
 SETTINGS = (
     *(Setting("voxel", voxel_size_m=v) for v in (0.05, 0.03, 0.02, 0.015)),
-    *(Setting("room", room_m=r) for r in ((3.0, 3.0, 2.2), (5.0, 4.0, 2.2), (6.0, 6.0, 2.4), (9.0, 8.0, 3.0))),
+    *(
+        Setting("room", room_m=r)
+        for r in ((3.0, 3.0, 2.2), (5.0, 4.0, 2.2), (6.0, 6.0, 2.4), (9.0, 8.0, 3.0))
+    ),
     *(Setting("cameras", n_cameras=n) for n in (4, 7, 10)),
     *(Setting("persons", n_persons=n) for n in (1, 2, 3)),
 )
@@ -126,9 +129,7 @@ def _dense_pass(table: NDArray[np.int32], masks: Sequence[NDArray[np.bool_]]) ->
     return np.flatnonzero((seen >= min(MIN_VIEWS, len(masks))) & (misses == 0))
 
 
-def _open3d_seconds(
-    rig: CameraRig, grid: VoxelGrid, masks: Sequence[NDArray[np.bool_]]
-) -> float | None:
+def _open3d_seconds(rig: CameraRig, grid: VoxelGrid, masks: Sequence[NDArray[np.bool_]]) -> float | None:
     try:
         import open3d
     except (ImportError, OSError):
@@ -181,7 +182,7 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
         if axis in ("cameras", "persons"):
             ax.set_xticks([r[keys[axis]] for r in own])
     axes[0].set_ylabel("one frame, ms")
-    axes[0].legend(fontsize=8)
+    axes[1].legend(fontsize=8, loc="center right")
     figure.savefig(path, dpi=90)
     plt.close(figure)
 

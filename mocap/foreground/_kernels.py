@@ -86,19 +86,17 @@ def count_differences(rows, background, threshold, first, stride, counts):
     on entry.
     """
     width = threshold.shape[1]
+    differs = np.zeros(counts.shape[1] * CELL, dtype=np.uint8)
     for y in range(first, rows.shape[0], stride):
-        cy = y // CELL
-        for cx in range(counts.shape[1]):
-            start, stop = CELL * cx, min(CELL * (cx + 1), width)
-            a, b, t = (
-                rows[y, 3 * start : 3 * stop],
-                background[y, 3 * start : 3 * stop],
-                threshold[y, start:stop],
-            )
+        a, b, t = rows[y], background[y], threshold[y]
+        for i in range(width):
+            differs[i] = np.uint8(_far(a, b, i) > t[i])
+        cells = counts[y // CELL]
+        for cx in range(cells.shape[0]):
             n = np.uint8(0)
-            for i in range(t.shape[0]):
-                n += np.uint8(_far(a, b, i) > t[i])
-            counts[cy, cx] += n
+            for d in differs[CELL * cx : CELL * (cx + 1)]:
+                n += d
+            cells[cx] += n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -234,8 +232,8 @@ def shadow_test(
     # loop has few arrays, because the compiler tests every pair of them for overlap and else gives up, too.
     zero, one, two, three = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
     side, wide = np.uint64(half), np.uint64(2 * half + 1)
-    # Planes have `half` columns of zeros on both sides, and spare ones: sums are made of whole blocks of pixels, because
-    # the remainders of short rows would take longer than the blocks.
+    # Planes have `half` columns of zeros on both sides, and spare ones: sums are made of whole blocks of pixels,
+    # because the remainders of short rows would take longer than the blocks.
     pad = w + 2 * half + _SPARE
     red, green = np.empty((h, pad), np.int16), np.empty((h, pad), np.int16)
     blue, may = np.empty((h, pad), np.int16), np.empty((h, pad), np.int16)
