@@ -259,7 +259,8 @@ def picture() -> Path:
         axes.set_ylabel("mean landmark error (mm)", fontsize=8)
         axes.tick_params(labelsize=7, which="both")
         axes.grid(color="#d9dde2", lw=0.5, which="both")
-        axes.legend(fontsize=7, ncols=2)
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside right upper", fontsize=8)
     path = RESULTS / "decomposition_3d.png"
     figure.savefig(path, format="png")
     return path

@@ -1,8 +1,8 @@
-"""Why swapping gains less here than published, and annealing more: the filters over the sharpness of the likelihood.
+"""Why swapping gains less here than published: the filters over the sharpness of the likelihood.
 
 Swapping needs copies: particles that agree on a part's parent. Copies come from resampling, and resampling copies only
-when weights differ much. Annealing uses a frame's evidence twice, which pays where once is too flat. So lambda, 50 in
-the sources, is varied.
+when weights differ much. So lambda, 50 in the sources, is varied. The annealed filters are there to see whether their
+lead goes away with it.
 Writes eval/results/decomposition_sharpness.csv, decomposition_sharpness_ranking.csv and a PNG.
 
     python -m eval.decomposition_sharpness [--full] [--workers 2]

@@ -60,7 +60,7 @@ def clutter_table(seeds: Seeds) -> Table:
         return orders
 
     fields = ("n_arms", "n_levels", "n_clutter", "n_evaluations")
-    return Table("XN Table 6.1", cells, fields, pairs, printed, x="n_arms")
+    return Table("XN Table 6.1", cells, fields, pairs, printed, x="n_clutter")
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -48,6 +48,27 @@ def segmentation_over_mog2() -> float:
     return theirs / ours
 
 
+@measure("segmentation_empty_ms", unit="ms", better="lower")
+def segmentation_empty_ms() -> float:
+    """One picture of the empty room: search, gain and adaptation."""
+    from mocap.foreground import Segmenter, learn_background
+
+    empty, _ = _pictures()
+    segmenter = Segmenter(learn_background(empty))
+    frames = cycle(empty)
+    return interleaved_medians([lambda: segmenter.segment(next(frames))], 60)[0] * 1e3
+
+
+@measure("mask_quality_ms", unit="ms", better="lower")
+def mask_quality_ms() -> float:
+    """Quality numbers of one camera from one frame and its neighbours."""
+    from mocap.foreground import mask_quality
+
+    before, now, after = (frame[:1] for frame in scene().masks[:3])
+    triple = (before, now, after)
+    return interleaved_medians([lambda: mask_quality(["cam_0"], [triple])], 40)[0] * 1e3
+
+
 @measure("learn_background_ms", unit="ms", better="lower")
 def learn_background_ms() -> float:
     """Background of one camera from twelve pictures."""

@@ -12,7 +12,14 @@ from eval.decomposition.tables import Table, read_csv
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555")
 STYLES = ("-", "--", "-.", ":")
-_AXES = {"world": "lambda", "n_levels": "K", "n_arms": "|P_j|", "n_layers": "layers L", "n_evaluations": "N"}
+_AXES = {
+    "world": "lambda",
+    "n_levels": "K",
+    "n_arms": "|P_j|",
+    "n_layers": "layers L",
+    "n_clutter": "polygons of clutter",
+    "n_evaluations": "N",
+}
 
 
 def picture_of(

@@ -35,6 +35,9 @@ LABELS = {
     "apsopf": "APSOPF",
     "chapsopf": "CHAPSOPF",
     "hapsopf": "HAPSOPF",
+    "shbm-apf": "SHBM-APF",
+    "ddma-pf": "DDMA-PF",
+    "shbm-ddma-pf": "SHBM-DDMA-PF",
 }
 
 _QUICK_FRAMES = 150  # both weak and strong motion

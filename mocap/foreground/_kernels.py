@@ -61,6 +61,7 @@ FOREGROUND = np.uint8(1)
 SHADOW = np.uint8(2)
 _LEVELS = 16  # fixed point of colour residuals: 1/16 grey level at best
 _RATIO = 1024  # fixed point of brightness ratios
+_SATURATED = 250  # grey level from which on a value may stand for a brighter one
 _BLOCK = 32  # 16-bit numbers that one instruction handles at most
 _SPARE = 2 * _BLOCK
 _RATIO_BINS = 2048  # of the histogram over ratios 0 .. 2
@@ -150,15 +151,18 @@ def median_gain(rows, background, excluded, step, gain):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def scale_rows(rows, factor, out):
-    """out = rows * factor / 65536, rounded, at most 255.  rows, out : (H, 3 W) uint8.  factor : (3 W,) int64."""
+def scale_rows(rows, background, factor, out):
+    """out = rows * factor / 65536, rounded, at most 255; saturated values may be brighter, as far as the background is.
+
+    rows, background, out : (H, 3 W) uint8.  factor : (3 W,) int64. A lamp that is 255 in both pictures must not differ
+    because the rest has become brighter.
+    """
     factor32 = factor.astype(np.uint32)
     for y in range(rows.shape[0]):
-        a, o = rows[y], out[y]
+        a, b, o = rows[y], background[y], out[y]
         for i in range(a.shape[0]):
-            o[i] = np.uint8(
-                min((np.uint32(a[i]) * factor32[i] + np.uint32(32768)) >> np.uint32(16), np.uint32(255))
-            )
+            scaled = min((np.uint32(a[i]) * factor32[i] + np.uint32(32768)) >> np.uint32(16), np.uint32(255))
+            o[i] = np.uint8(max(scaled, np.uint32(b[i])) if a[i] >= _SATURATED else scaled)
 
 
 @njit(cache=True, nogil=True)

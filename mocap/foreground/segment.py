@@ -71,7 +71,7 @@ class ForegroundSettings:
     threshold_sigma: float = 3.0
     min_difference: float = 6.0
     strong_difference: float = 20.0
-    edge_jitter_px: float = 0.3
+    edge_jitter_px: float = 0.6
     shadow_darkest: float = 0.5
     shadow_brightest: float = 1.03
     shadow_chroma: float = 0.03
@@ -247,7 +247,7 @@ class Segmenter:
             return rows
         factor = np.tile(np.round(65536 / np.clip(gain, 0.5, 2.0)).astype(np.int64), self.shape[1])
         out = np.empty_like(rows)
-        _kernels.scale_rows(rows, factor, out)
+        _kernels.scale_rows(rows, self._background, factor, out)
         return out
 
     def _windows(self, rows: Bytes) -> list[_Window]:
@@ -465,6 +465,8 @@ def _trained_subtractor(method: str, background: Background) -> Any:
         model.setShadowThreshold(0.7)
     else:
         model = cv2.createBackgroundSubtractorKNN(detectShadows=True)
+        # Its default of 0.5 takes more of dark clothes for shadow.
+        model.setShadowThreshold(0.6)
     rng = np.random.default_rng(0)
     for _ in range(_TRAIN):
         drawn = background.mean + background.std * rng.standard_normal(

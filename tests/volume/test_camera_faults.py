@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from eval.bench.scene import person_mask, ring
+from eval.camera_faults import evaluate
 from mocap.data import VoxelGrid
+from mocap.io.calibration import write_calibration
+from mocap.io.store import StageStore
+from mocap.pipeline.config import load_config
+from mocap.pipeline.run import run_session
+from mocap.pipeline.stages.carve import stored_faults
 from mocap.volume import CameraFault, ConsistencyMonitor, find_camera_faults, usable_cameras
 from mocap.volume.camera_faults import background_shift, fit_states
 from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, Snapshot
@@ -182,7 +190,7 @@ def test_background_shift_by_tracking() -> None:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=30)
+@hypothesis_settings(max_examples=30)
 def test_the_fit_is_the_cheapest_of_all_sequences(seed: int) -> None:
     """Against all 4^6 sequences of states of six frames and three lags."""
     rng = np.random.default_rng(seed)
@@ -215,3 +223,61 @@ def test_too_little_to_tell_from() -> None:
     assert find([camera[:4] for camera in clean()]) == ()
     nobody = [[np.zeros_like(m) for m in camera[:8]] for camera in clean()]
     assert find(nobody) == ()
+
+
+def mask_session(root: Path, masks: list[list[np.ndarray]]) -> Path:
+    """A session folder of masks alone."""
+    (root / "masks").mkdir(parents=True)
+    write_calibration(root / "calibration.toml", RIG)
+    lower, upper = GRID.origin.tolist(), GRID.upper.tolist()
+    (root / "session.toml").write_text(f"fps = 30.0\nroom_bounds_m = [{lower}, {upper}]\n", encoding="utf-8")
+    for camera, own in zip(RIG, masks, strict=True):
+        np.savez_compressed(root / "masks" / f"{camera.name}.npz", masks=np.array(own))
+    return root
+
+
+def test_the_carve_stage_warns_and_goes_on_with_the_other_cameras(tmp_path: Path) -> None:
+    n = 46
+    masks = [camera[:n] for camera in clean()]
+    masks[3] = [rotated(m, 3, (0.0, 5.0, 0.0)) if f >= 20 else m for f, m in enumerate(masks[3])]
+    session = mask_session(tmp_path / "session", masks)
+    sizes = {}
+    for mode in ("warn", "exclude", "ignore"):
+        config = load_config("default", ("volume.voxel_size_m=0.05", f"volume.on_bad_camera={mode}"))
+        result = run_session(session, tmp_path / mode, config=config, until="carve")
+        reader = StageStore(tmp_path / mode / "store.zarr").reader("carve")
+        rows = [arrays for _, arrays in reader]
+        used = np.array([row["used"] for row in rows])
+        sizes[mode] = np.array([len(row["voxels"]) for row in rows])
+        told = [w for w in result.warnings if "cam_3 moved at frame" in w]
+        assert len(told) == (mode != "ignore")
+        assert np.all(used[:, [0, 1, 2, 4, 5, 6]])
+        if mode == "exclude":
+            assert "left out" in told[0]
+            (fault,) = stored_faults(StageStore(tmp_path / mode / "store.zarr"))
+            assert abs(fault.first_frame - 20) <= FRAMES_OFF
+            np.testing.assert_array_equal(used[:, 3], np.arange(n) < fault.first_frame)
+        else:
+            assert used.all()
+    np.testing.assert_array_equal(sizes["warn"], sizes["ignore"])
+    np.testing.assert_array_equal(sizes["warn"][:15], sizes["exclude"][:15])
+    # The bad camera's masks cut the body away; without them it is whole again.
+    assert sizes["exclude"][25:].mean() > 1.5 * sizes["warn"][25:].mean()
+    settings = ("volume.voxel_size_m=0.05", "volume.on_bad_camera=exclude")
+    again = run_session(
+        session, tmp_path / "exclude", config=load_config("default", settings), until="carve", resume=True
+    )
+    assert again.reused == ("segment", "carve")
+    assert any("cam_3 moved" in w for w in again.warnings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["fault_moved", "fault_lag", "fault_frozen", "fault_dropped"])
+def test_faults_of_rendered_scenes_are_named(scene: str, tmp_path: Path) -> None:
+    """Videos, segmentation and all; three minutes a scene."""
+    pytest.importorskip("embreex", reason="rendering needs the extra synth (embreex)")
+    from data_synth import synthesise
+
+    (row,) = evaluate(synthesise(scene, tmp_path / scene), "images")
+    assert row["is_right"] == 1
+    assert row["false_alarms"] == 0

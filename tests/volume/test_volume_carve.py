@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -358,3 +361,12 @@ def test_hull_of_a_sphere_contains_it():
     in_sphere = np.linalg.norm(grid.centers(all_voxels) - center, axis=1) <= radius
     assert np.isin(all_voxels[in_sphere], hull).all()
     assert len(hull) < 2.5 * np.count_nonzero(in_sphere)
+
+
+def test_the_examples_of_the_page_run(capsys):
+    page = Path(__file__).resolve().parents[2] / "docs" / "volumes.md"
+    examples = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+    assert len(examples) == 2
+    for example in examples:
+        exec(compile(example, page.name, "exec"), {"__name__": "page"})
+    assert re.match(r"\d+ voxels, \d+ on the surface, 1 blob\n\d+ voxels have", capsys.readouterr().out)

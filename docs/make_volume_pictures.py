@@ -1,0 +1,190 @@
+"""Make the pictures of docs/volumes.md from synthetic sessions.
+
+for s in demo fault_moved fault_lag; do mocap synth --scene $s -o out/camera_faults/$s; done
+python docs/make_volume_pictures.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from eval.camera_faults import watch
+from mocap.data import VoxelGrid
+from mocap.io.session import open_session
+from mocap.io.video import FrameReader
+from mocap.volume import Carver, SilhouetteEvidence, choose_grid, colour_hull, surface_voxels
+from mocap.volume.consistency import MAX_LAG_FRAMES
+
+PICTURES = Path(__file__).with_name("pictures")
+MAX_BYTES = 200_000
+FRAME = 38
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#999999")
+
+
+def policies(root: Path) -> bytes:
+    """A slice at the height of the arms: votes, and the hulls of three tolerances."""
+    import matplotlib.pyplot as plt
+
+    session = open_session(root)
+    assert session.truth_dir is not None
+    masks = []
+    for camera in session.rig:
+        with np.load(session.truth_dir / "masks" / f"{camera.name}.npz", allow_pickle=False) as archive:
+            masks.append(np.unpackbits(archive["masks"][FRAME], axis=1, count=camera.size[0]).view(np.bool_))
+    grid = choose_grid(session.rig, 0.02, bounds_m=session.room_bounds_m)
+    carver = Carver(session.rig, grid)
+    soft = carver.votes(masks)
+    level = int(1.15 / grid.voxel_size_m)
+    votes = np.zeros(grid.n_voxels, dtype=np.uint8)
+    votes[soft.voxels] = soft.n_votes
+    extent = (grid.origin[1], grid.upper[1], grid.origin[0], grid.upper[0])
+    with np.load(session.truth_dir / "voxels.npz", allow_pickle=False) as truth:
+        true_grid = VoxelGrid(truth["origin_m"], tuple(truth["shape"]), float(truth["voxel_size_m"]))
+        own = truth["voxels"][truth["offsets"][FRAME] : truth["offsets"][FRAME + 1]]
+    body = true_grid.dense(own)[:, :, int(1.15 / true_grid.voxel_size_m)]
+    where = np.argwhere(body) * true_grid.voxel_size_m + true_grid.origin[:2]
+    middle = where.mean(axis=0)
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), constrained_layout=True)
+    picture = axes[0].imshow(
+        votes.reshape(grid.shape)[:, :, level], origin="lower", extent=extent, cmap="viridis", vmax=7
+    )
+    axes[0].set_title("soft volume: foreground votes, 1.15 m above the floor")
+    figure.colorbar(picture, ax=axes[0], ticks=range(8))
+    true_extent = (true_grid.origin[1], true_grid.upper[1], true_grid.origin[0], true_grid.upper[0])
+    axes[1].imshow(np.where(body, 0.75, 1.0), origin="lower", extent=true_extent, cmap="gray", vmin=0, vmax=1)
+    for k, colour in ((0, COLOURS[0]), (1, COLOURS[1]), (2, COLOURS[3])):
+        hull = grid.dense(carver.carve(masks, n_faulty_views=k))[:, :, level].astype(float)
+        litres = len(carver.carve(masks, n_faulty_views=k)) * grid.voxel_size_m**3 * 1e3
+        axes[1].contour(hull, [0.5], extent=extent, colors=colour, linewidths=1.6)
+        axes[1].plot([], [], color=colour, label=f"k = {k}: {litres:.0f} litres")
+    axes[1].plot(
+        [],
+        [],
+        color="0.75",
+        linewidth=6,
+        label=f"body: {len(own) * true_grid.voxel_size_m**3 * 1e3:.0f} litres",
+    )
+    axes[1].set_xlim(middle[1] - 0.55, middle[1] + 0.55)
+    axes[1].set_ylim(middle[0] - 0.55, middle[0] + 0.55)
+    axes[1].legend(fontsize=8, loc="upper right")
+    axes[1].set_title("hulls that allow k faulty views")
+    for ax in axes:
+        ax.set_xlabel("y, m")
+        ax.set_ylabel("x, m")
+    return _png(figure)
+
+
+def consistency(moved: SilhouetteEvidence, lagging: SilhouetteEvidence) -> bytes:
+    """Shares outside over time, the lag that fits, and masks over silhouettes before and after a move."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, 2, figsize=(11, 6.6), constrained_layout=True)
+    for c, name in enumerate(moved.names):
+        axes[0, 0].plot(moved.frames, moved.uncovered[:, c, MAX_LAG_FRAMES], color=COLOURS[c % 7], label=name)
+    axes[0, 0].set_title("cam_3 is pushed at frame 50")
+    axes[0, 0].set_ylabel("mask outside the others' hull")
+    axes[0, 0].legend(fontsize=7, ncols=2, loc="upper left")
+    share = lagging.uncovered[:, lagging.names.index("cam_2")].T
+    lags = (-MAX_LAG_FRAMES - 0.5, MAX_LAG_FRAMES + 0.5)
+    picture = axes[0, 1].imshow(
+        share, aspect="auto", origin="lower", extent=(-0.5, len(lagging.frames) - 0.5, *lags), vmax=0.3
+    )
+    axes[0, 1].set_title("cam_2 is 3 frames late from frame 45 on")
+    axes[0, 1].set_ylabel("lag, frames")
+    figure.colorbar(picture, ax=axes[0, 1], label="mask outside")
+    for ax in axes[0]:
+        ax.set_xlabel("frame")
+    c = moved.names.index("cam_3")
+    for ax, frame in zip(axes[1], (48, 52), strict=True):
+        shot = next(s for s in moved.snapshots if s.frame == frame)
+        canvas = np.full((*shot.masks[c].shape, 3), 30, dtype=np.uint8)
+        canvas[shot.hulls[c] > 0] = (0, 90, 150)
+        canvas[(shot.masks[c] > 0) & (shot.hulls[c] > 0)] = (235, 235, 235)
+        canvas[(shot.masks[c] > 0) & (shot.hulls[c] == 0)] = (213, 94, 0)
+        ax.imshow(canvas)
+        ax.set_title(f"cam_3, frame {frame}: mask on the others' silhouette")
+        ax.set_axis_off()
+    return _png(figure)
+
+
+def visibility(root: Path) -> NDArray[np.uint8]:
+    """Colours of all cameras averaged, and of those that see the voxel, from two sides."""
+    from mocap.view import contact_sheet, crop, draw_hull, person_window
+
+    session = open_session(root)
+    with FrameReader(session.image_sources, session.rig, range(FRAME, FRAME + 1)) as reader:
+        images = next(iter(reader))[1]
+    assert session.truth_dir is not None
+    masks = []
+    for camera in session.rig:
+        with np.load(session.truth_dir / "masks" / f"{camera.name}.npz", allow_pickle=False) as archive:
+            masks.append(np.unpackbits(archive["masks"][FRAME], axis=1, count=camera.size[0]).view(np.bool_))
+    grid = choose_grid(session.rig, 0.02, bounds_m=session.room_bounds_m)
+    carver = Carver(session.rig, grid)
+    voxels = carver.carve(masks, n_faulty_views=0)
+    is_surface = surface_voxels(voxels, grid)
+    line = colour_hull(voxels, is_surface, grid, session.rig, images)
+    buffer = colour_hull(voxels, is_surface, grid, session.rig, images, "zbuffer")
+    pixels = carver.pixels(voxels)
+    every = np.mean(
+        [i.reshape(-1, 3)[np.maximum(p, 0)] for i, p in zip(images, pixels.T, strict=True)], axis=0
+    )
+    naive = type(line)(grid, voxels, is_surface, np.full(len(voxels), 7, np.uint8), every.astype(np.uint8))
+    tiles, labels = [], []
+    for c in (1, 4):
+        camera = session.rig[c]
+        window = person_window(camera, line.centers)
+        tiles.append(crop(images[c], window, scale=1.8))
+        labels.append(f"picture of {camera.name}")
+        grey = np.full_like(images[c], 60)
+        for hull, word in ((naive, "mean of all cameras"), (line, "line walk"), (buffer, "depth buffer")):
+            tiles.append(crop(draw_hull(grey, camera, hull, colour_by="rgb"), window, scale=1.8))
+            labels.append(word)
+    return contact_sheet(tiles, labels, n_columns=4, width=900)
+
+
+def _png(figure: Any) -> bytes:
+    import matplotlib.pyplot as plt
+
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=85)
+    plt.close(figure)
+    return buffer.getvalue()
+
+
+def _write(name: str, data: bytes) -> None:
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"{name} has {len(data)} bytes, more than {MAX_BYTES}")
+    (PICTURES / name).write_bytes(data)
+    print(f"{name}: {len(data) // 1000} kB")
+
+
+def main() -> int:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--work", type=Path, default=Path("out/camera_faults"))
+    work = parser.parse_args().work
+    _write("volumes_policies.png", policies(work / "demo"))
+    sheet = cv2.imencode(".png", visibility(work / "demo")[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
+    _write("volumes_colour.png", sheet.tobytes())
+    evidence = [
+        watch(open_session(work / name), "images").evidence() for name in ("fault_moved", "fault_lag")
+    ]
+    _write("volumes_consistency.png", consistency(*evidence))
+    growth = Path(__file__).resolve().parents[1] / "eval" / "results" / "volume_growth.png"
+    _write("volume_growth.png", growth.read_bytes())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
