@@ -24,7 +24,7 @@ from mocap.volume import Carver, SilhouetteEvidence, choose_grid, colour_hull, s
 from mocap.volume.consistency import MAX_LAG_FRAMES
 
 PICTURES = Path(__file__).with_name("pictures")
-MAX_BYTES = 200_000
+MAX_BYTES = 150_000
 FRAME = 38
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#999999")
 
@@ -148,7 +148,7 @@ def visibility(root: Path) -> NDArray[np.uint8]:
         for hull, word in ((naive, "mean of all cameras"), (line, "line walk"), (buffer, "depth buffer")):
             tiles.append(crop(draw_hull(grey, camera, hull, colour_by="rgb"), window, scale=1.8))
             labels.append(word)
-    return contact_sheet(tiles, labels, n_columns=4, width=900)
+    return contact_sheet(tiles, labels, n_columns=4, width=820)
 
 
 def _png(figure: Any) -> bytes:

@@ -395,7 +395,9 @@ def export(
         str | None, typer.Option("--format", help="voxels: ply, npz, glb; motion: bvh, trc, c3d, glb.")
     ] = None,
     frames: FramesOption = None,
-    cubes: Annotated[bool, typer.Option("--cubes", help="PLY with coloured cubes instead of points.")] = False,
+    cubes: Annotated[
+        bool, typer.Option("--cubes", help="PLY with coloured cubes instead of points.")
+    ] = False,
 ) -> None:
     """Coloured voxels per frame, or motion, from a finished run, for other tools."""
     from mocap.pipeline.export import export_run

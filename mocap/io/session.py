@@ -171,7 +171,9 @@ def open_session(
     warnings = list(found.warnings)
     sources = _match_sources(root, settings, found.rig, calibration_path, warnings)
     if strangers := [n for n in settings.roi_px or {} if n not in found.rig.names]:
-        raise _bad_key(root / "session.toml", f"roi_px.{strangers[0]}", "names a camera that is not calibrated")
+        raise _bad_key(
+            root / "session.toml", f"roi_px.{strangers[0]}", "names a camera that is not calibrated"
+        )
     wanted_rig = _wanted_cameras(root, found.rig, settings.cameras)
     rig, images, masks = _choose_cameras(root, wanted_rig, sources, warnings)
     backgrounds = {n: p for n, p in sources["background"].items() if n in rig.names}
@@ -605,7 +607,9 @@ def _polygons(path: Path, document: dict[str, Any]) -> dict[str, Polygon] | None
     if value is None:
         return None
     if not isinstance(value, dict):
-        raise _bad_key(path, "roi_px", "is no table, expected [roi_px] camera = [[u, v], [u, v], [u, v], ...]")
+        raise _bad_key(
+            path, "roi_px", "is no table, expected [roi_px] camera = [[u, v], [u, v], [u, v], ...]"
+        )
     polygons = {}
     for name, corners in value.items():
         is_polygon = isinstance(corners, list) and len(corners) >= 3

@@ -124,7 +124,7 @@ def check_every_vote(seed: int) -> None:
 
 
 @given(seed=st.integers(0, 2**31))
-@settings(max_examples=25)
+@settings(max_examples=15)
 def test_every_tolerance_policy_and_vote_count_equals_the_definition(seed):
     """Also with tables for two blocks of 16 at a time, discarded and built again within one frame."""
     check_every_vote(seed)
@@ -154,7 +154,7 @@ def test_the_definition_is_that_of_the_votes():
 
 
 @given(seed=st.integers(0, 2**31))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_bounds_of_blocks_hold_before_their_voxels_are_projected(seed):
     """What the interval arithmetic says of a block of 16 must not contradict any of its voxels."""
     rig, grid, _ = hard_scene(seed)
