@@ -93,7 +93,7 @@ def estimate_poses(
                     grid.centers(voxels[is_surface]),
                     grid.centers(others.astype(np.int32)),
                     n_points=OutlineFitSettings().n_outline_points,
-                    is_whole=found["usable"],
+                    is_whole=found["usable"] & arrays["used"].astype(np.bool_),
                 )
 
             return PersonHull(voxels, is_surface, outlines)
