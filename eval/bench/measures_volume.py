@@ -28,7 +28,9 @@ def _carver() -> Any:
 
 
 def _carve_next(n_faulty_views: int) -> Any:
-    for masks in scene().masks:  # tables are built where a person is first seen: `carve_table_s` measures that
+    for (
+        masks
+    ) in scene().masks:  # tables are built where a person is first seen: `carve_table_s` measures that
         _carver().carve(masks, n_faulty_views=n_faulty_views)
     frames = cycle(scene().masks)
     return lambda: _carver().carve(next(frames), n_faulty_views=n_faulty_views)
