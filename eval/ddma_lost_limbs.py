@@ -9,18 +9,14 @@ scored in between. The source shows pictures only; there are no published number
 
 from __future__ import annotations
 
-import argparse
 import statistics
-import sys
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.hull_clips import MASKS, ROOT, HullClip, load_clip, run_filter
-from eval.shbm_against_apf import head, write_rows
+from eval.hull_clips import ROOT, HullClip, compare_filters, run_filter
 
 RESULTS = ROOT / "eval" / "results" / "ddma_lost_limbs.csv"
 FIELDS = (
@@ -147,31 +143,26 @@ def measure(clip: HullClip, scene: str, masks: str, name: str, seed: int) -> dic
     return row
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+def _summary(own: Sequence[dict[str, Any]]) -> str:
+    f1 = [r["f1"] for r in own if r.get("f1") is not None]
+    return (
+        f"F1 {statistics.fmean(f1) if f1 else float('nan'):.2f}, visible "
+        f"{statistics.fmean(r['visible_mm'] for r in own):.1f} mm, upper body "
+        f"{statistics.fmean(r['upper_mm'] for r in own):.1f} mm"
     )
-    parser.add_argument("--scenes", default="walk_counter")
-    parser.add_argument("--masks", default=",".join(MASKS))
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--frames", type=int, default=150)
-    parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
-    args = parser.parse_args()
-    rows: list[dict[str, Any]] = []
-    for scene in args.scenes.split(","):
-        for masks in args.masks.split(","):
-            clip = head(load_clip(scene, masks, args.work), args.frames)
-            for name in filters(clip):
-                own = [measure(clip, scene, masks, name, seed) for seed in range(args.seeds)]
-                rows += own
-                write_rows(rows, RESULTS, FIELDS)
-                f1 = [r["f1"] for r in own if r.get("f1") is not None]
-                sys.stdout.write(
-                    f"{clip.name} {name}: F1 {statistics.fmean(f1) if f1 else float('nan'):.2f}, visible "
-                    f"{statistics.fmean(r['visible_mm'] for r in own):.1f} mm, upper body "
-                    f"{statistics.fmean(r['upper_mm'] for r in own):.1f} mm\n"
-                )
-                sys.stdout.flush()
+
+
+def main() -> None:
+    compare_filters(
+        __doc__,
+        scenes="walk_counter",
+        n_frames=150,
+        names=filters,
+        measure=measure,
+        summary=_summary,
+        path=RESULTS,
+        fields=FIELDS,
+    )
 
 
 if __name__ == "__main__":

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
+import csv
 import json
 import shutil
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -146,3 +149,61 @@ def run_filter(
         estimates.append(info.estimate)
         infos.append(info)
     return np.array(estimates), infos
+
+
+def head(clip: HullClip, n_frames: int) -> HullClip:
+    """The first frames of a clip."""
+    return replace(
+        clip,
+        voxels=clip.voxels[:n_frames],
+        volumes=clip.volumes[:n_frames],
+        xyz=clip.xyz[:n_frames],
+        truth=clip.truth[:n_frames],
+    )
+
+
+def write_rows(rows: Sequence[dict[str, Any]], path: Path, fields: Sequence[str]) -> None:
+    """One row per run."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, fields)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def compare_filters(
+    description: str | None,
+    *,
+    scenes: str,
+    n_frames: int,
+    names: Callable[[HullClip], Iterable[str]],
+    measure: Callable[[HullClip, str, str, str, int], dict[str, Any]],
+    summary: Callable[[Sequence[dict[str, Any]]], str],
+    path: Path,
+    fields: Sequence[str],
+) -> list[dict[str, Any]]:
+    """The command line of a comparison: every filter on every scene, kind of masks and seed, one row each in `path`.
+
+    scenes, n_frames : defaults of --scenes and --frames.  measure : (clip, scene, masks, filter, seed) -> row.
+    summary : rows of one filter on one clip -> a few words.  The file is written anew after each filter.
+    """
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scenes", default=scenes)
+    parser.add_argument("--masks", default=",".join(MASKS))
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--frames", type=int, default=n_frames)
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
+    args = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    for scene in args.scenes.split(","):
+        for masks in args.masks.split(","):
+            clip = head(load_clip(scene, masks, args.work), args.frames)
+            for name in names(clip):
+                own = [measure(clip, scene, masks, name, seed) for seed in range(args.seeds)]
+                rows += own
+                write_rows(rows, path, fields)
+                sys.stdout.write(f"{clip.name} {name}: {summary(own)}\n")
+                sys.stdout.flush()
+    return rows

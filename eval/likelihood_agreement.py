@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from eval.hull_clips import ROOT, HullClip, fitted_state, load_clip, run_filter
-from eval.shbm_against_apf import filters, head, write_rows
+from eval.hull_clips import ROOT, HullClip, fitted_state, head, load_clip, run_filter, write_rows
+from eval.shbm_against_apf import filters
 
 RESULTS = ROOT / "eval" / "results" / "likelihood_agreement.csv"
 TRACKING = ROOT / "eval" / "results" / "likelihood_tracking.csv"

@@ -10,17 +10,13 @@ SHBM-APF is said to gain 58 % in MMTP and 51 % in MMTA.
 
 from __future__ import annotations
 
-import argparse
-import csv
 import statistics
-import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from eval.hull_clips import MASKS, ROOT, HullClip, load_clip, run_filter
+from eval.hull_clips import ROOT, HullClip, compare_filters, run_filter
 
 RESULTS = ROOT / "eval" / "results" / "shbm_against_apf.csv"
 FIELDS = (
@@ -102,17 +98,6 @@ def measure(clip: HullClip, scene: str, masks: str, name: str, seed: int) -> dic
     }
 
 
-def head(clip: HullClip, n_frames: int) -> HullClip:
-    """The first frames of a clip."""
-    return replace(
-        clip,
-        voxels=clip.voxels[:n_frames],
-        volumes=clip.volumes[:n_frames],
-        xyz=clip.xyz[:n_frames],
-        truth=clip.truth[:n_frames],
-    )
-
-
 def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """MMTP and MMTA of every filter per clip, one dot per seed, published values as lines."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -143,39 +128,25 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def write_rows(rows: Sequence[dict[str, Any]], path: Path, fields: Sequence[str]) -> None:
-    """One row per run."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, fields)
-        writer.writeheader()
-        writer.writerows(rows)
+def _summary(own: Sequence[dict[str, Any]]) -> str:
+    means = {f: statistics.fmean(r[f] for r in own) for f in FIELDS[5:]}
+    return (
+        f"mean {means['mean_mm']:.1f} mm, MMTP {means['mmtp_mm']:.1f} mm, MMTA {means['mmta_percent']:.1f} %, "
+        f"{means['seconds']:.1f} s"
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    rows = compare_filters(
+        __doc__,
+        scenes="walk,gesture",
+        n_frames=60,
+        names=filters,
+        measure=measure,
+        summary=_summary,
+        path=RESULTS,
+        fields=FIELDS,
     )
-    parser.add_argument("--scenes", default="walk,gesture")
-    parser.add_argument("--masks", default=",".join(MASKS))
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
-    args = parser.parse_args()
-    rows: list[dict[str, Any]] = []
-    for scene in args.scenes.split(","):
-        for masks in args.masks.split(","):
-            clip = head(load_clip(scene, masks, args.work), args.frames)
-            for name in filters(clip):
-                own = [measure(clip, scene, masks, name, seed) for seed in range(args.seeds)]
-                rows += own
-                write_rows(rows, RESULTS, FIELDS)
-                means = {f: statistics.fmean(r[f] for r in own) for f in FIELDS[5:]}
-                sys.stdout.write(
-                    f"{clip.name} {name}: mean {means['mean_mm']:.1f} mm, MMTP {means['mmtp_mm']:.1f} mm, "
-                    f"MMTA {means['mmta_percent']:.1f} %, {means['seconds']:.1f} s\n"
-                )
-                sys.stdout.flush()
     plot(rows, RESULTS.with_suffix(".png"))
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from mocap.likelihood._surface_kernels import add_row
+from mocap.likelihood._surface_kernels import add_row, robust_loss
 
 
 @njit(cache=True, nogil=True)
@@ -19,11 +19,7 @@ def outline_to_body(
     end,
     radii,
     cone_joint,
-    t,
-    axes,
-    dof_joint,
-    dof_column,
-    moves,
+    moving,
     scale,
     normal_cost,
     gain,
@@ -119,29 +115,13 @@ def outline_to_body(
         if best_k < 0:
             cost += gain * 0.5 * scale * scale
             continue
-        q = best_r / scale
-        weight = gain / ((1.0 + q * q) * (1.0 + q * q))
+        loss, weight = robust_loss(best_r, scale, gain)
+        cost += loss
         weight *= max(best_cos, 0.0)
-        cost += gain * 0.5 * scale * scale * q * q / (1.0 + q * q)
         if weight > 1e-4 * gain:
             for c in range(3):
                 n[c] = slope[c] - best_n[c]
-            add_row(
-                x,
-                n,
-                best_r,
-                weight,
-                cone_joint[best_k],
-                t,
-                axes,
-                dof_joint,
-                dof_column,
-                moves,
-                columns,
-                values,
-                H,
-                g,
-            )
+            add_row(x, n, best_r, weight, cone_joint[best_k], moving, columns, values, H, g)
     return cost
 
 
@@ -156,11 +136,7 @@ def body_to_silhouettes(
     nearest,
     first,
     shape,
-    t,
-    axes,
-    dof_joint,
-    dof_column,
-    moves,
+    moving,
     scale,
     gain,
     H,
@@ -221,26 +197,10 @@ def body_to_silhouettes(
             # The picture direction as a direction in the world: columns of the camera's axes.
             for c in range(3):
                 n[c] = du * R_cam[v, 0, c] + dw * R_cam[v, 1, c]
-            q = metres / scale
-            own += gain * 0.5 * scale * scale * q * q / (1.0 + q * q)
-            weight = gain / ((1.0 + q * q) * (1.0 + q * q))
+            loss, weight = robust_loss(metres, scale, gain)
+            own += loss
             if weight > 1e-4 * gain:
-                add_row(
-                    points[i],
-                    n,
-                    metres,
-                    weight,
-                    point_joint[i],
-                    t,
-                    axes,
-                    dof_joint,
-                    dof_column,
-                    moves,
-                    columns,
-                    values,
-                    H,
-                    g,
-                )
+                add_row(points[i], n, metres, weight, point_joint[i], moving, columns, values, H, g)
         cost_of_camera[v] = own
         cost += own
     return cost

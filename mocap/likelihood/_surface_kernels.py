@@ -39,8 +39,20 @@ def chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axe
 
 
 @njit(cache=True, nogil=True)
-def add_row(x, n, residual, weight, j, t, axes, dof_joint, dof_column, moves, columns, values, H, g):
-    """Add one scalar residual whose derivative is n . dx/dstate, x rigid with joint j, to H and g."""
+def robust_loss(residual, scale, gain):
+    """Geman-McClure cost of a residual, and its weight in the normal equations."""
+    q = residual / scale
+    s = 1.0 + q * q
+    return gain * 0.5 * scale * scale * q * q / s, gain / (s * s)
+
+
+@njit(cache=True, nogil=True)
+def add_row(x, n, residual, weight, j, moving, columns, values, H, g):
+    """Add one scalar residual whose derivative is n . dx/dstate, x rigid with joint j, to H and g.
+
+    moving : (t, axes, dof_joint, dof_column, moves), what the rotations move and about which axes.
+    """
+    t, axes, dof_joint, dof_column, moves = moving
     k = 0
     for c in range(3):
         columns[k] = c
@@ -74,11 +86,7 @@ def hull_to_body(
     end,
     radii,
     cone_joint,
-    t,
-    axes,
-    dof_joint,
-    dof_column,
-    moves,
+    moving,
     excess,
     scale,
     normal_cost,
@@ -154,37 +162,19 @@ def hull_to_body(
                 slope[0] = taper * ax
                 slope[1] = taper * ay
                 slope[2] = taper * az
-        q = best_r / scale
-        cost += 0.5 * scale * scale * q * q / (1.0 + q * q)
-        weight = 1.0 / ((1.0 + q * q) * (1.0 + q * q))
+        loss, weight = robust_loss(best_r, scale, 1.0)
+        cost += loss
         weight *= max(best_cos, 0.0)
         if weight > 1e-4:
             # d(residual) = -(gradient of the distance) . dx: it shrinks when the flesh moves outwards.
             for c in range(3):
                 n[c] = slope[c] - best_n[c]
-            add_row(
-                points[i],
-                n,
-                best_r,
-                weight,
-                cone_joint[best_k],
-                t,
-                axes,
-                dof_joint,
-                dof_column,
-                moves,
-                columns,
-                values,
-                H,
-                g,
-            )
+            add_row(points[i], n, best_r, weight, cone_joint[best_k], moving, columns, values, H, g)
     return cost
 
 
 @njit(cache=True, nogil=True)
-def body_to_hull(
-    points, point_joint, nearest, outside, t, axes, dof_joint, dof_column, moves, scale, gain, H, g
-):
+def body_to_hull(points, point_joint, nearest, outside, moving, scale, gain, H, g):
     """Pull flesh points that stick out of the hull back to the nearest hull point; returns the robust cost."""
     columns = np.empty(H.shape[0], np.int64)
     values = np.empty(H.shape[0])
@@ -202,25 +192,9 @@ def body_to_hull(
             continue
         for c in range(3):
             n[c] /= length
-        q = length / scale
-        cost += gain * 0.5 * scale * scale * q * q / (1.0 + q * q)
-        weight = gain / ((1.0 + q * q) * (1.0 + q * q))
-        add_row(
-            points[i],
-            n,
-            length,
-            weight,
-            point_joint[i],
-            t,
-            axes,
-            dof_joint,
-            dof_column,
-            moves,
-            columns,
-            values,
-            H,
-            g,
-        )
+        loss, weight = robust_loss(length, scale, gain)
+        cost += loss
+        add_row(points[i], n, length, weight, point_joint[i], moving, columns, values, H, g)
     return cost
 
 
@@ -273,11 +247,7 @@ def self_penetration(
     radii,
     cone_joint,
     cone_part,
-    t,
-    axes,
-    dof_joint,
-    dof_column,
-    moves,
+    moving,
     gain,
     H,
     g,
@@ -287,6 +257,7 @@ def self_penetration(
     may_meet : (M, P) bool, parts that a point is tested against. The derivative is that of the relative movement
     of the two parts.
     """
+    t, axes, dof_joint, dof_column, moves = moving
     n_dofs = dof_joint.shape[0]
     values = np.empty(n_dofs)
     used = np.empty(n_dofs, np.int64)

@@ -161,6 +161,7 @@ class SurfaceProblem:
         joint = body.cones.joint
         start = np.einsum("krc,kc->kr", R[joint], body.cones.start) + t[joint]
         end = np.einsum("krc,kc->kr", R[joint], body.cones.end) + t[joint]
+        moving = (t, axes, body.dof_joint, body.dof_column, self._moves)
         voxel = volume.grid.voxel_size_m
         cost = hull_to_body(
             self._points,
@@ -169,11 +170,7 @@ class SurfaceProblem:
             end,
             body.cones.radii,
             joint,
-            t,
-            axes,
-            body.dof_joint,
-            body.dof_column,
-            self._moves,
+            moving,
             0.5 * voxel,
             settings.scale_m,
             settings.normal_cost_m,
@@ -194,11 +191,7 @@ class SurfaceProblem:
                 self._flesh_joint,
                 nearest,
                 is_out,
-                t,
-                axes,
-                body.dof_joint,
-                body.dof_column,
-                self._moves,
+                moving,
                 settings.flesh_scale_m,
                 settings.flesh_gain * len(self._points) / len(flesh),
                 H,
@@ -214,11 +207,7 @@ class SurfaceProblem:
                 body.cones.radii,
                 joint,
                 body.cones.part,
-                t,
-                axes,
-                body.dof_joint,
-                body.dof_column,
-                self._moves,
+                moving,
                 settings.penetration_gain * len(self._points) / len(flesh),
                 H,
                 g,
