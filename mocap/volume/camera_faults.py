@@ -34,6 +34,7 @@ _LAG_PRICE = 0.2
 _CHANGE_PRICE = 12.0
 _MIN_GAIN = 12.0
 _MIN_FRAMES = 5
+_LASTING_FRAMES = 25  # a lag or a misfit of fewer frames is no fault of the camera
 _JOIN_FRAMES = 8  # stretches closer than this are one
 # A lag explains a stretch when it leaves at most this share of what no lag leaves.
 _LAG_LEAVES = 0.3
@@ -138,7 +139,10 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
     for c in range(n_cameras):
         for stretch in _odd_stretches(unexplained[:, c], usual):
             fault = _diagnose(evidence, unexplained[:, c], c, *stretch, usual)
-            doubted.append(fault)
+            # Somebody who comes in is seen by one camera first, and by the hull a few frames later: no lag.
+            lasts = stretch[1] - stretch[0] >= min(_LASTING_FRAMES, n_frames // 2)
+            if lasts or fault.kind not in ("lag", "misfit"):
+                doubted.append(fault)
     found += _without_common_cause(doubted, n_cameras)
     return tuple(sorted(found, key=lambda f: (f.first_frame, f.camera)))
 
