@@ -1,48 +1,83 @@
 """Scores against the truth: points, angles, tracking, volume, uncertainty, and all of them at once."""
 
-from mocap.metrics.angles import ANGLES, AngleScores, angle_scores, joint_angles
+from mocap.metrics.alignment import procrustes_aligned, root_aligned
+from mocap.metrics.angles import ANGLES, AngleScores, angle_differences, angle_scores, joint_angles
+from mocap.metrics.detail import Action, Pair, detailed_scores, matched_pairs
 from mocap.metrics.evaluate import associate_persons, evaluate, length_unit
+from mocap.metrics.image import image_scores
 from mocap.metrics.limbs import LimbScores, limb_scores, share_in_hull
 from mocap.metrics.points import (
+    EpsilonSearch,
     PointScores,
+    QuantileLine,
     epsilon_lilliefors,
     epsilon_qq,
+    epsilon_search,
+    landmark_offsets,
     lost_wrist_percent,
     offset_corrected,
+    pck_auc_percent,
     pck_percent,
     point_errors,
     point_scores,
+    quantile_line,
+    with_offsets,
 )
 from mocap.metrics.polygons import corner_error
-from mocap.metrics.tracking import TrackingScores, tracking_scores
-from mocap.metrics.uncertainty import CoverageScores, coverage_scores
+from mocap.metrics.reference import ReferenceFit, fit_reference_skeleton
+from mocap.metrics.smoothness import SmoothnessScores, smoothness_scores
+from mocap.metrics.tracking import IdentityScores, TrackingScores, identity_scores, tracking_scores
+from mocap.metrics.uncertainty import CoverageScores, Reliability, coverage_scores, reliability
 from mocap.metrics.volume import VolumeScores, sum_volume_scores, volume_scores
 
 __all__ = [
     "ANGLES",
+    "Action",
     "AngleScores",
     "CoverageScores",
+    "EpsilonSearch",
+    "IdentityScores",
     "LimbScores",
+    "Pair",
     "PointScores",
+    "QuantileLine",
+    "ReferenceFit",
+    "Reliability",
+    "SmoothnessScores",
     "TrackingScores",
     "VolumeScores",
+    "angle_differences",
     "angle_scores",
     "associate_persons",
     "corner_error",
     "coverage_scores",
+    "detailed_scores",
     "epsilon_lilliefors",
     "epsilon_qq",
+    "epsilon_search",
     "evaluate",
+    "fit_reference_skeleton",
+    "identity_scores",
+    "image_scores",
     "joint_angles",
+    "landmark_offsets",
     "length_unit",
     "limb_scores",
     "lost_wrist_percent",
+    "matched_pairs",
     "offset_corrected",
+    "pck_auc_percent",
     "pck_percent",
     "point_errors",
     "point_scores",
+    "procrustes_aligned",
+    "quantile_line",
+    "reliability",
+    "root_aligned",
     "share_in_hull",
+    "smoothness_scores",
     "sum_volume_scores",
     "tracking_scores",
     "volume_scores",
+    "with_offsets",
 ]

@@ -95,9 +95,20 @@ def angle_scores(estimate: Array, truth: Array, epsilon_mm: float | None = None)
     Source: CF Eq. 5.9, 5.3.2 (gate of CF 5.4). Departs from CF Eq. 5.9: the sum is divided by the number of
     angles compared, differences are wrapped (reading guide 7).
     """
-    difference = np.abs(wrap_angle(joint_angles(estimate) - joint_angles(truth)))
-    if epsilon_mm is not None:
-        is_matched = point_errors(estimate, truth) <= epsilon_mm
+    matched = None if epsilon_mm is None else point_errors(estimate, truth) <= epsilon_mm
+    return angle_differences(joint_angles(estimate), joint_angles(truth), matched)
+
+
+def angle_differences(
+    estimate: Array, truth: Array, is_matched: NDArray[np.bool_] | None = None
+) -> AngleScores:
+    """Scores of two series of angles, however they were read from the landmarks.
+
+    estimate, truth : (T, 15) rad, order ANGLES, NaN = unknown.  is_matched : (T, 15) bool, order LANDMARKS;
+    only angles whose landmarks are all matched are compared; None = all known.
+    """
+    difference = np.abs(wrap_angle(np.asarray(estimate) - np.asarray(truth)))
+    if is_matched is not None:
         for n, name in enumerate(ANGLES):
             trunk = () if name in _HINGES else ("pelvis", "neck")
             columns = [LANDMARKS.index(landmark) for landmark in (*ANGLES[name], *trunk)]

@@ -20,7 +20,7 @@ from mocap.metrics.points import (
     point_errors,
     point_scores,
 )
-from mocap.metrics.tracking import tracking_scores
+from mocap.metrics.tracking import identity_scores, tracking_scores
 from mocap.metrics.uncertainty import coverage_scores
 from mocap.metrics.volume import VolumeScores
 
@@ -57,23 +57,20 @@ def evaluate(
     there are none. epsilon_qq_mm is the optimum by R^2 where epsilon_opt_mm is that by Lilliefors.
     """
     pairs = associate_persons(estimate, truth, frames=frames)
-    by_person = [(t, *_aligned(e, t, frames)) for e, t in pairs]
-    x = _stack([p.landmarks for _, p, _ in by_person])
-    y = _stack([t.landmarks for _, _, t in by_person])
-    std = _stack([_or_nan(p.std) for _, p, _ in by_person])
+    by_person = [(t, *aligned(e, t, frames)) for e, t in pairs]
+    x = stacked([p.landmarks for _, p, _ in by_person])
+    y = stacked([t.landmarks for _, _, t in by_person])
+    std = stacked([_or_nan(p.std) for _, p, _ in by_person])
 
     points = point_scores(x, y, epsilon_mm)
     errors = point_errors(x, y)
     angles = angle_scores(x, y, epsilon_mm)
     coverage = coverage_scores(x, y, std)
-    tracking = None
+    tracking, identity = None, None
     if tracks_truth is not None and len(tracks_truth):
-        tracking = tracking_scores(
-            _empty_tracks() if tracks_estimate is None else tracks_estimate,
-            tracks_truth,
-            gate_m=gate_m,
-            frames=frames,
-        )
+        found = _empty_tracks() if tracks_estimate is None else tracks_estimate
+        tracking = tracking_scores(found, tracks_truth, gate_m=gate_m, frames=frames)
+        identity = identity_scores(found, tracks_truth, gate_m=gate_m, frames=frames)
     scored_frames = [t.frames for _, _, t in by_person]
     if not scored_frames and tracks_truth is not None:
         rows = tracks_truth.frame
@@ -103,6 +100,10 @@ def evaluate(
         "mean_error_after_world_offset_mm": _after_offset(by_person, "world", epsilon_mm),
         "lost_wrist_percent": lost_wrist_percent(x, y),
         "motp_xyz_mm": tracking.motp_xyz_mm if tracking else None,
+        "hota_percent": identity.hota_percent if identity else None,
+        "deta_percent": identity.deta_percent if identity else None,
+        "assa_percent": identity.assa_percent if identity else None,
+        "idf1_percent": identity.idf1_percent if identity else None,
         "sharpness_90_mm": coverage.sharpness_mm,
         "landmarks_missing": points.n_missing,
         "landmarks_scored": points.n_scored,
@@ -136,7 +137,7 @@ def associate_persons(
     cost = np.full((len(truth), len(estimate)), np.inf)
     for i, t in enumerate(truth):
         for j, e in enumerate(estimate):
-            p, q = _aligned(e, t, frames)
+            p, q = aligned(e, t, frames)
             error = point_errors(p.landmarks, q.landmarks) / 1000.0
             is_known = np.isfinite(error)
             if is_known.any():
@@ -181,10 +182,10 @@ def length_unit(landmarks: Array) -> str:
     return "unknown"
 
 
-def _aligned(
+def aligned(
     estimate: Motion | None, truth: Motion, frames: Sequence[int] | NDArray[np.integer] | None
 ) -> tuple[Motion, Motion]:
-    """Both motions on the scored frames of the truth; NaN where the estimate has none."""
+    """Both motions on the scored frames of the truth; landmarks and std are NaN where the estimate has none."""
     keep = np.ones(len(truth), bool) if frames is None else np.isin(truth.frames, np.asarray(frames))
     scored = truth.frames[keep]
     target = Motion(truth.person, scored, truth.time_s[keep], truth.landmarks[keep])
@@ -212,7 +213,7 @@ def _after_offset(
         x, y = p.landmarks[known[0] :], t.landmarks[known[0] :]
         corrected.append(offset_corrected(x, y, OFFSET_FRAMES, reference)[OFFSET_FRAMES:])
         targets.append(y[OFFSET_FRAMES:])
-    return point_scores(_stack(corrected), _stack(targets), epsilon_mm).mean_mm
+    return point_scores(stacked(corrected), stacked(targets), epsilon_mm).mean_mm
 
 
 def _unit_warning(estimate: Sequence[Motion], truth: Sequence[Motion]) -> str | None:
@@ -223,15 +224,20 @@ def _unit_warning(estimate: Sequence[Motion], truth: Sequence[Motion]) -> str | 
     wrong = [f"the {name} looks like {'/'.join(sorted(units))}" for name, units in found.items() if units]
     if not wrong:
         return None
-    return f"unit mistake: {' and '.join(wrong)} read as m; a body of that size does not exist"
+    units = sorted({u for found_units in found.values() for u in found_units})
+    return (
+        f"unit mistake: {' and '.join(wrong)} read as m; a body of that size does not exist. "
+        f"Remedy: name the unit (--estimate-unit or --truth-unit {units[0]}), or write the file in metres"
+    )
 
 
-def _stack(arrays: list[Array]) -> Array:
+def stacked(arrays: Sequence[Array]) -> Array:
+    """Persons one after the other, (sum of T, 15, 3); no persons give (0, 15, 3)."""
     return np.concatenate(arrays) if arrays else np.zeros((0, len(LANDMARKS), 3))
 
 
 def _or_nan(std: Array | None) -> Array:
-    # Motions made by _aligned always carry a std; this tells the type checker.
+    # Motions made by aligned always carry a std; this tells the type checker.
     return np.zeros((0, len(LANDMARKS), 3)) if std is None else std
 
 

@@ -19,7 +19,9 @@ Array = NDArray[np.float64]
 
 MIN_FRACTION = 0.5  # epsilon is searched where at least this share of the errors lies below it
 MAX_CANDIDATES = 256  # evenly spaced ranks; enough that the optimum moves by less than 0.2 % of the data
+MIN_ERRORS = 20  # fewer errors say nothing about their distribution
 OFFSET_FRAMES = 10
+AUC_LIMIT_MM = 150.0  # the curve of correct keypoints is averaged from 0 to here, as MPI-INF-3DHP does
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,37 @@ class PointScores:
     n_missing: int
     landmark_mean_mm: Array
     landmark_mmta_percent: Array
+
+
+@dataclass(frozen=True, eq=False)
+class EpsilonSearch:
+    """The parameter-free epsilon and the curves it was read from.
+
+    epsilon_mm : (K,) candidates, ascending.  lilliefors, r2 : (K,) test functions of the errors up to each.
+    by_lilliefors_mm : where the first is least.  by_r2_mm : where the second is largest.
+    """
+
+    epsilon_mm: Array
+    lilliefors: Array
+    r2: Array
+    by_lilliefors_mm: float
+    by_r2_mm: float
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the smallest candidate won: the errors then have no Gaussian part apart from outliers."""
+        return bool(self.by_lilliefors_mm == self.epsilon_mm[0])
+
+
+@dataclass(frozen=True, eq=False)
+class QuantileLine:
+    """Quantiles (n,) of a unit Gaussian, ordered errors (n,) mm, and errors = intercept + slope * quantiles."""
+
+    quantiles: Array
+    errors_mm: Array
+    slope_mm: float
+    intercept_mm: float
+    r2: float
 
 
 def point_errors(estimate: Array, truth: Array) -> Array:
@@ -112,6 +145,22 @@ def pck_percent(estimate: Array, truth: Array, thresholds_mm: Sequence[float] | 
     return 100.0 * np.searchsorted(ordered, thresholds, side="right") / n_scored
 
 
+def pck_auc_percent(estimate: Array, truth: Array, limit_mm: float = AUC_LIMIT_MM) -> float | None:
+    """Area under the curve of correct keypoints from 0 to limit_mm, as a share of the best possible, percent.
+
+    The exact area, not a sum over thresholds: a landmark at distance d counts max(0, 1 - d / limit_mm), an
+    unknown one nothing. None when nothing is scored.
+    """
+    if not limit_mm > 0:
+        raise ValueError(f"limit_mm must be positive, got {limit_mm}")
+    error = point_errors(estimate, truth)
+    n_scored = int(np.isfinite(np.asarray(truth)).all(axis=2).sum())
+    if n_scored == 0:
+        return None
+    known = error[np.isfinite(error)]
+    return 100.0 * float(np.clip(1.0 - known / limit_mm, 0.0, 1.0).sum()) / n_scored
+
+
 def lost_wrist_percent(estimate: Array, truth: Array, limit_mm: float = 150.0) -> float | None:
     """Share of frames in which a wrist is unknown or farther than limit_mm from the truth, percent.
 
@@ -139,20 +188,40 @@ def offset_corrected(
     body. The offset is the mean over the first n_frames; a landmark without a common frame among them stays
     as it is, and so do, for "torso", frames in which the torso is unknown.
     """
+    offset = landmark_offsets(estimate[:n_frames], truth[:n_frames], frame_of_reference)
+    return with_offsets(estimate, np.nan_to_num(offset), frame_of_reference)
+
+
+def landmark_offsets(estimate: Array, truth: Array, frame_of_reference: str = "torso") -> Array:
+    """Mean of truth minus estimate for every landmark, (M, 3) m; NaN for one without a common frame.
+
+    estimate, truth : (T, M, 3) m, world.  frame_of_reference : as in `offset_corrected`; "torso" gives
+    components forward, left, up.
+    """
     estimate = np.asarray(estimate, dtype=np.float64)
-    truth = np.asarray(truth, dtype=np.float64)
-    if frame_of_reference == "world":
-        R = np.broadcast_to(np.eye(3), (len(estimate), 3, 3))
-    elif frame_of_reference == "torso":
-        R = torso_rotation(estimate, "hip")
-    else:
-        raise ValueError(f"frame_of_reference must be 'world' or 'torso', got {frame_of_reference!r}")
-    difference = np.einsum("tji,tmj->tmi", R, truth - estimate)[:n_frames]
+    R = _reference_frames(estimate, frame_of_reference)
+    difference = np.einsum("tji,tmj->tmi", R, np.asarray(truth, dtype=np.float64) - estimate)
     is_known = np.isfinite(difference).all(axis=2, keepdims=True)
-    count = is_known.sum(axis=0)
-    offset = np.where(is_known, difference, 0.0).sum(axis=0) / np.maximum(count, 1)
-    shift = np.einsum("tij,mj->tmi", R, offset)
+    with np.errstate(invalid="ignore"):
+        return np.where(is_known, difference, 0.0).sum(axis=0) / is_known.sum(axis=0)
+
+
+def with_offsets(estimate: Array, offset: Array, frame_of_reference: str = "torso") -> Array:
+    """The estimate (T, M, 3) m, world, with its offset (M, 3) m added to every landmark; same shape.
+
+    What has no offset (NaN), or no torso to turn it with, stays as it is.
+    """
+    estimate = np.asarray(estimate, dtype=np.float64)
+    shift = np.einsum("tij,mj->tmi", _reference_frames(estimate, frame_of_reference), offset)
     return estimate + np.where(np.isfinite(shift), shift, 0.0)
+
+
+def _reference_frames(estimate: Array, frame_of_reference: str) -> Array:
+    if frame_of_reference == "world":
+        return np.broadcast_to(np.eye(3), (len(estimate), 3, 3))
+    if frame_of_reference == "torso":
+        return torso_rotation(estimate, "hip")
+    raise ValueError(f"frame_of_reference must be 'world' or 'torso', got {frame_of_reference!r}")
 
 
 def torso_rotation(landmarks: Array, side: str) -> Array:
@@ -195,23 +264,71 @@ def epsilon_qq(errors_mm: Array, min_fraction: float = MIN_FRACTION) -> float | 
     return _best_epsilon(errors_mm, min_fraction, lambda subset: -_qq_r2(subset))
 
 
+def epsilon_search(errors_mm: Array, min_fraction: float = MIN_FRACTION) -> EpsilonSearch | None:
+    """Both test functions over all candidates, and where each is best; what the picture of the choice shows.
+
+    Arguments and empty cases as `epsilon_lilliefors`. Source: CF Eq. 5.7-5.8, Figure 5.6.
+    """
+    errors, sizes = _candidates(errors_mm, min_fraction)
+    if not len(sizes):
+        return None
+    lilliefors = np.array([_lilliefors_statistic(errors[:k]) for k in sizes])
+    r2 = np.array([_qq_r2(errors[:k]) for k in sizes])
+    candidates = errors[sizes - 1]
+    return EpsilonSearch(
+        epsilon_mm=candidates,
+        lilliefors=lilliefors,
+        r2=r2,
+        by_lilliefors_mm=float(candidates[_last_argmin(lilliefors)]),
+        by_r2_mm=float(candidates[_last_argmin(-r2)]),
+    )
+
+
+def quantile_line(errors_mm: Array) -> QuantileLine | None:
+    """Quantile-quantile points of errors against a unit Gaussian, and the regression line through them.
+
+    errors_mm : any shape; NaN are left out. None with fewer than 3 errors or when they are all equal.
+    Source: CF 5.2.2.
+    """
+    from scipy.special import ndtri
+
+    errors = np.asarray(errors_mm, dtype=np.float64).ravel()
+    errors = np.sort(errors[np.isfinite(errors)])
+    n = len(errors)
+    if n < 3 or errors[0] == errors[-1]:
+        return None
+    quantiles = ndtri((np.arange(n) + 0.5) / n)
+    # The quantiles are symmetric about zero, so the line passes through the mean.
+    slope = float(quantiles @ errors / (quantiles @ quantiles))
+    return QuantileLine(quantiles, errors, slope, float(errors.mean()), _qq_r2(errors))
+
+
 def _best_epsilon(errors_mm: Array, min_fraction: float, cost: Callable[[Array], float]) -> float | None:
+    errors, sizes = _candidates(errors_mm, min_fraction)
+    if not len(sizes):
+        return None
+    return float(errors[sizes[_last_argmin(np.array([cost(errors[:k]) for k in sizes]))] - 1])
+
+
+def _candidates(errors_mm: Array, min_fraction: float) -> tuple[Array, NDArray[np.int64]]:
+    """The known errors in order, and how many of them each candidate holds; no candidates for too few."""
     if not 0 < min_fraction <= 1:
         raise ValueError(f"min_fraction must be in (0, 1], got {min_fraction}")
     errors = np.asarray(errors_mm, dtype=np.float64).ravel()
     errors = np.sort(errors[np.isfinite(errors)])
     n = len(errors)
-    if n < 20 or errors[0] == errors[-1]:
-        return None
+    if n < MIN_ERRORS or errors[0] == errors[-1]:
+        return errors, np.zeros(0, dtype=np.int64)
     first = max(int(np.ceil(min_fraction * n)), 3)
     ranks = np.unique(np.linspace(first, n, min(MAX_CANDIDATES, n - first + 1)).round().astype(int))
     # W(epsilon) holds everything up to epsilon, so ties enter together.
     sizes = np.unique(np.searchsorted(errors, errors[ranks - 1], side="right"))
-    sizes = sizes[errors[sizes - 1] > errors[0]]
-    costs = np.array([cost(errors[:k]) for k in sizes])
-    # Of equally good values the largest: it calls the fewest landmarks lost.
-    best = len(costs) - 1 - int(np.argmin(costs[::-1]))
-    return float(errors[sizes[best] - 1])
+    return errors, sizes[errors[sizes - 1] > errors[0]]
+
+
+def _last_argmin(costs: Array) -> int:
+    """Of equally good values the last, which is the largest epsilon: it calls the fewest landmarks lost."""
+    return len(costs) - 1 - int(np.argmin(costs[::-1]))
 
 
 def _lilliefors_statistic(ordered: Array) -> float:

@@ -3,19 +3,41 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import VoxelGrid
+from mocap.data import LANDMARKS, Motion, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
-from mocap.metrics import evaluate, sum_volume_scores, volume_scores
+from mocap.metrics import (
+    LimbScores,
+    associate_persons,
+    evaluate,
+    limb_scores,
+    share_in_hull,
+    sum_volume_scores,
+    volume_scores,
+)
 from mocap.metrics.volume import VolumeScores
 from mocap.pipeline.stages import stored_grid
+
+# Ends of a limb -> the landmark that tells whether the filter saw it: the one at the joint that moves it, or beyond.
+LIMBS: dict[tuple[str, str], str] = {
+    (f"{side}_{start}", f"{side}_{end}"): f"{side}_{judge}"
+    for side in ("left", "right")
+    for start, end, judge in (
+        ("shoulder", "elbow", "shoulder"),
+        ("elbow", "wrist", "wrist"),
+        ("hip", "knee", "hip"),
+        ("knee", "ankle", "ankle"),
+    )
+}
+_LOST, _PRESENT = 0.3, 0.7
 
 if TYPE_CHECKING:
     from mocap.pipeline.run import RunResult
@@ -38,39 +60,13 @@ def score_run(result: RunResult, store: StageStore, *, epsilon_mm: float = 100.0
     )
 
 
-def score_folder(out: Path, session_root: Path, *, epsilon_mm: float = 100.0) -> dict[str, Any]:
-    """Scores of a run's output folder against the truth in a session folder; frames as in its run.json."""
-    truth_dir = session_root / "truth"
-    if not (truth_dir / "landmarks.csv").exists():
-        raise MocapError(
-            "the session has no truth to compare with",
-            path=truth_dir / "landmarks.csv",
-            remedy="evaluate only sessions with truth/landmarks.csv (and tracks.csv), as `mocap synth` writes them",
-        )
-    if not (out / "landmarks.csv").exists():
-        raise MocapError(
-            "the folder holds no result of a run",
-            path=out / "landmarks.csv",
-            remedy="run `mocap run SESSION -o OUT` first",
-        )
-    tracks_path, truth_tracks = out / "tracks.csv", truth_dir / "tracks.csv"
-    return evaluate(
-        read_landmarks_csv(out / "landmarks.csv"),
-        read_landmarks_csv(truth_dir / "landmarks.csv"),
-        read_tracks_csv(tracks_path) if tracks_path.exists() else None,
-        read_tracks_csv(truth_tracks) if truth_tracks.exists() else None,
-        volume_overlap(truth_dir, StageStore(out / "store.zarr")),
-        epsilon_mm,
-        frames=_frames_of_run(out),
-    )
-
-
-def _frames_of_run(out: Path) -> list[int] | None:
+def frames_of_run(out: Path) -> tuple[int, ...] | None:
+    """Frames that a run worked on, by its run.json; None for landmarks.csv from elsewhere."""
     try:
         start, stop = json.loads((out / "run.json").read_text(encoding="utf-8"))["frames"]
     except (OSError, ValueError, KeyError, TypeError):
-        return None  # landmarks.csv from elsewhere: every frame of the truth counts
-    return list(range(int(start), int(stop)))
+        return None
+    return tuple(range(int(start), int(stop)))
 
 
 def volume_overlap(truth_dir: Path, store: StageStore) -> VolumeScores | None:
@@ -100,6 +96,47 @@ def volume_overlap(truth_dir: Path, store: StageStore) -> VolumeScores | None:
         on_grid = grid.voxels_of(truth_grid.centers(own))
         scores.append(volume_scores(_on_grid(arrays["voxels"]), on_grid[on_grid >= 0]))
     return sum_volume_scores(scores) if scores else None
+
+
+def lost_limbs(
+    estimate: Sequence[Motion],
+    truth: Sequence[Motion],
+    store: StageStore,
+    *,
+    frames: Sequence[int] | None = None,
+) -> LimbScores | None:
+    """How well `observed` tells limbs without data from limbs with data; None without hulls or such statements.
+
+    A limb is lost in truth when less than 30 % of its true bone lies in the hull of its frame, and present above 70 %;
+    what is between is not judged. It is said to be lost when its landmark is not observed.
+    """
+    if not any(m.observed is not None for m in estimate):
+        return None
+    try:
+        reader = store.reader("carve")
+    except MocapError:
+        return None
+    grid = stored_grid(store)
+    scored = None if frames is None else set(frames)
+    wanted: dict[int, list[tuple[NDArray[np.float64], NDArray[np.bool_]]]] = {}
+    for e, t in associate_persons(estimate, truth, frames=frames):
+        if e is None or e.observed is None:
+            continue
+        common, of_estimate, of_truth = np.intersect1d(e.frames, t.frames, return_indices=True)
+        for frame, i, j in zip(common, of_estimate, of_truth, strict=True):
+            if scored is None or int(frame) in scored:
+                wanted.setdefault(int(frame), []).append((t.landmarks[j], e.observed[i]))
+    chains = [[LANDMARKS.index(n) for n in ends] for ends in LIMBS]
+    judges = [LANDMARKS.index(n) for n in LIMBS.values()]
+    shares, said = [], []
+    for frame, arrays in reader:
+        for landmarks, observed in wanted.get(frame, ()):
+            shares.append([share_in_hull(landmarks[c], arrays["voxels"], grid) for c in chains])
+            said.append(~observed[judges])
+    if not shares:
+        return None
+    share = np.array(shares)
+    return limb_scores(share < _LOST, np.array(said), (share < _LOST) | (share > _PRESENT))
 
 
 def _on_grid(voxels: NDArray[np.generic]) -> NDArray[np.int64]:

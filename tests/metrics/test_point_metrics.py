@@ -10,12 +10,18 @@ from mocap.data import LANDMARKS
 from mocap.metrics import (
     epsilon_lilliefors,
     epsilon_qq,
+    epsilon_search,
+    landmark_offsets,
     lost_wrist_percent,
     offset_corrected,
+    pck_auc_percent,
     pck_percent,
     point_errors,
     point_scores,
+    quantile_line,
+    with_offsets,
 )
+from mocap.metrics.points import torso_rotation
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -209,3 +215,89 @@ def test_wrong_arguments_are_named():
         point_scores(np.zeros((2, 15, 3)), np.zeros((3, 15, 3)))
     with pytest.raises(ValueError, match="epsilon_mm"):
         point_scores(np.zeros((2, 15, 3)), np.zeros((2, 15, 3)), 0.0)
+
+
+def test_the_worked_example_of_the_source():
+    """CF Figure 5.3 (c): 10 of 13 landmarks matched, MMTP 46.35, MMTA 0.77 and mean 51.22 fit together."""
+    error = np.array([46.35] * 10 + [67.45] * 3)
+    estimate = np.zeros((1, 13, 3))
+    estimate[0, :, 0] = error / 1000.0
+    s = point_scores(estimate, np.zeros_like(estimate), 50.0)
+    assert s.mean_mm == pytest.approx(51.22, abs=0.005)
+    assert s.mmtp_mm == pytest.approx(46.35)
+    assert round(s.mmta_percent) == 77
+
+
+def test_the_deviations_of_the_worked_example_cannot_be():
+    """Numbers between 0 and 50 with mean 48.91 deviate by at most sqrt((50 - m) m) = 7.3; CF Figure 5.3 (b) prints
+    16.21 and MMTA 1. Of three above 50 with mean 67.45, and ten up to 50 with mean 46.35, no deviation of 24.37
+    comes."""
+    mean = 48.91
+    assert np.sqrt((50.0 - mean) * mean) < 16.21 / 2
+    between = 10 / 13 * (46.35 - 51.22) ** 2 + 3 / 13 * (67.45 - 51.22) ** 2
+    matched = (50.0 - 46.35) * 46.35
+    lost = (2 * (50.0 - 67.45) ** 2 + (3 * 67.45 - 100.0 - 67.45) ** 2) / 3
+    assert np.sqrt(between + 10 / 13 * matched + 3 / 13 * lost) < 24.37 - 3
+
+
+@pytest.mark.parametrize("limit", [40.0, 150.0])
+def test_area_under_the_curve_is_the_area_under_the_curve(limit):
+    rng = np.random.default_rng(10)
+    truth = rng.normal(0, 1, (7, 5, 3))
+    estimate = truth + rng.normal(0, 0.04, truth.shape)
+    estimate[1, 2] = np.nan
+    at = np.linspace(0, limit, 20001)
+    area = np.trapezoid(pck_percent(estimate, truth, at), at) / limit
+    assert pck_auc_percent(estimate, truth, limit) == pytest.approx(area, abs=0.02)
+    assert pck_auc_percent(truth, truth) == 100.0
+    assert pck_auc_percent(np.full_like(truth, np.nan), truth) == 0.0
+    assert pck_auc_percent(truth, np.full_like(truth, np.nan)) is None
+    with pytest.raises(ValueError, match="limit_mm"):
+        pck_auc_percent(truth, truth, 0.0)
+
+
+def test_search_curves_agree_with_scipy():
+    from scipy import stats
+
+    rng = np.random.default_rng(11)
+    errors = np.concatenate([rng.normal(60, 12, 300), rng.uniform(250, 600, 50), [np.nan]])
+    search = epsilon_search(errors)
+    for i in (0, len(search.epsilon_mm) // 2, -1):
+        subset = np.sort(errors[errors <= search.epsilon_mm[i]])
+        ks = stats.kstest(subset, "norm", args=(subset.mean(), subset.std(ddof=1))).statistic
+        assert search.lilliefors[i] == pytest.approx(ks)
+        line, mine = stats.linregress(quantile_line(subset).quantiles, subset), quantile_line(subset)
+        assert (mine.slope_mm, mine.intercept_mm) == (
+            pytest.approx(line.slope),
+            pytest.approx(line.intercept),
+        )
+        assert search.r2[i] == pytest.approx(line.rvalue**2) == pytest.approx(mine.r2)
+    assert search.by_lilliefors_mm == epsilon_lilliefors(errors)
+    assert search.by_r2_mm == epsilon_qq(errors)
+    assert not search.at_bound
+    assert search.lilliefors.min() == search.lilliefors[search.epsilon_mm == search.by_lilliefors_mm][0]
+
+
+def test_skewed_errors_have_their_optimum_at_the_bound_and_few_have_none():
+    errors = np.random.default_rng(12).exponential(30, 2000)
+    assert epsilon_search(errors).at_bound
+    assert epsilon_search(errors[:19]) is None
+    assert epsilon_search(np.full(50, 2.0)) is None
+    assert quantile_line(errors[:2]) is None
+    assert quantile_line(np.full(9, 2.0)) is None
+
+
+def test_offsets_learnt_apart_are_applied_apart():
+    rng = np.random.default_rng(13)
+    truth = body(30, rng)
+    R = torso_rotation(truth, "hip")
+    offset = rng.normal(0, 0.04, (15, 3))
+    for name in ("pelvis", "neck", "left_hip", "right_hip"):
+        offset[LANDMARKS.index(name)] = 0.0
+    estimate = truth - np.einsum("tij,mj->tmi", R, offset)
+    estimate[3, 4] = np.nan
+    estimate[:, 8] = np.nan
+    learnt = landmark_offsets(estimate[:6], truth[:6])
+    np.testing.assert_allclose(np.delete(learnt, 8, axis=0), np.delete(offset, 8, axis=0), atol=1e-12)
+    assert np.isnan(learnt[8]).all()
+    assert np.nanmax(point_errors(with_offsets(estimate[6:], learnt), truth[6:])) < 1e-9

@@ -1,0 +1,143 @@
+"""Named points of a file as motions of our 15 landmarks, z up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import LANDMARKS, Motion
+from mocap.errors import MocapError
+from mocap.io.poses.maps import AXES, SideMap, automatic, plain, skeletons_known
+from mocap.io.poses.table import PoseFile, PoseTable
+
+Array = NDArray[np.float64]
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+# Up axis of a file -> rows of the rotation to our z-up world. y up is the inverse of what our writers do.
+_WORLD_FROM = {
+    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "y": [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
+    "-y": [[0, 0, 1], [-1, 0, 0], [0, -1, 0]],
+    "x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+    "-x": [[0, 1, 0], [0, 0, -1], [-1, 0, 0]],
+}
+__all__ = ["AXES", "METRES", "Reading", "read_motions"]
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Motions of a file, still in its unit.
+
+    motions : one per person, z up, in `unit` (None = nobody has said which).  unit_from : "file" or "user".
+    landmarks : the ones that the file has.  skeleton : how its names were understood.
+    """
+
+    motions: tuple[Motion, ...]
+    format: str
+    fps: float | None
+    unit: str | None
+    unit_from: str
+    up: str
+    skeleton: str
+    landmarks: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def in_metres(self, unit: str) -> Reading:
+        """The same with lengths in metres, understood as `unit`."""
+        factor = METRES[unit]
+        if factor == 1.0:
+            return replace(self, unit=unit)
+        motions = tuple(
+            replace(m, landmarks=factor * m.landmarks, std=None if m.std is None else factor * m.std)
+            for m in self.motions
+        )
+        return replace(self, motions=motions, unit=unit)
+
+
+def read_motions(poses: PoseFile, side: SideMap | None = None) -> Reading:
+    """The motions in a file of poses; what `side` says counts more than what the file says.
+
+    Raises MocapError when no skeleton is recognised, a named point is not in the file, or a person is there twice.
+    """
+    side = SideMap() if side is None else side
+    names = poses.people[0].names if poses.people else LANDMARKS
+    notes = list(poses.notes)
+    if side.landmarks:
+        sources, skeleton = _named(poses, side), "as the map says"
+    else:
+        found = automatic(names)
+        if found is None:
+            raise MocapError(
+                f"the names of the points are of no known skeleton: {_some(names)}",
+                path=poses.path,
+                remedy=f"say which are our landmarks with --map FILE; known are {', '.join(skeletons_known())}",
+            )
+        skeleton, sources = found[0].name, found[1]
+        if found[0].note:
+            notes.append(f"{skeleton}: {found[0].note}")
+    up = side.up or poses.up
+    R = np.array(_WORLD_FROM[up], dtype=np.float64)
+    fps = side.fps or poses.fps
+    motions = tuple(_motion(table, sources, R, side.fps, fps) for table in poses.people if len(table.frames))
+    return Reading(
+        motions=motions,
+        format=poses.format,
+        fps=fps,
+        unit=side.unit or poses.unit,
+        unit_from="user" if side.unit else "file",
+        up=up,
+        skeleton=skeleton,
+        landmarks=tuple(n for n in LANDMARKS if n in sources),
+        notes=tuple(notes),
+    )
+
+
+def _named(poses: PoseFile, side: SideMap) -> dict[str, tuple[str, ...]]:
+    names = poses.people[0].names if poses.people else LANDMARKS
+    at = {plain(n): n for n in names}
+    sources = {}
+    for landmark, wanted in side.landmarks.items():
+        missing = [n for n in wanted if plain(n) not in at]
+        if missing:
+            raise MocapError(
+                f"the map takes {landmark} from {missing[0]!r}, which the file does not have; it has "
+                f"{_some(names)}",
+                path=poses.path,
+                remedy="correct the names in the map",
+            )
+        sources[landmark] = tuple(at[plain(n)] for n in wanted)
+    return sources
+
+
+def _motion(
+    table: PoseTable,
+    sources: dict[str, tuple[str, ...]],
+    R: Array,
+    told_fps: float | None,
+    fps: float | None,
+) -> Motion:
+    T = len(table.frames)
+    landmarks = np.full((T, len(LANDMARKS), 3), np.nan)
+    std = None if table.std is None else np.full((T, len(LANDMARKS), 3), np.nan)
+    xyz = np.where(np.isfinite(table.xyz), table.xyz, np.nan)
+    observed = None if table.observed is None else np.zeros((T, len(LANDMARKS)), dtype=np.bool_)
+    for landmark, names in sources.items():
+        columns = [table.names.index(n) for n in names]
+        m = LANDMARKS.index(landmark)
+        # A mean of what is left would jump when one of the points is lost: NaN carries through.
+        landmarks[:, m] = xyz[:, columns].mean(axis=1) @ R.T
+        if std is not None and table.std is not None and len(columns) == 1:
+            std[:, m] = table.std[:, columns[0]] @ np.abs(R).T
+        if observed is not None and table.observed is not None:
+            observed[:, m] = table.observed[:, columns].all(axis=1)
+    time_s = table.time_s
+    if told_fps is not None or not np.isfinite(time_s).all():
+        time_s = table.frames / fps if fps else np.full(T, np.nan)
+    return Motion(table.person, table.frames, time_s, landmarks, std, observed)
+
+
+def _some(names: tuple[str, ...]) -> str:
+    return ", ".join(names[:20]) + (" ..." if len(names) > 20 else "")

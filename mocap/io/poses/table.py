@@ -1,0 +1,107 @@
+"""What every reader of foreign motion gives: named points over time, in the unit and the axes of the file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.errors import MocapError
+
+Array = NDArray[np.float64]
+
+_MOST = 1e15
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTable:
+    """Points of one person, as the file holds them.
+
+    names : K names.  frames : (T,) int64 ascending.  time_s : (T,).  xyz : (T, K, 3), NaN = unknown.
+    std : (T, K, 3) in the same unit, or None.  observed : (T, K), or None.
+    """
+
+    person: int
+    names: tuple[str, ...]
+    frames: NDArray[np.int64]
+    time_s: Array
+    xyz: Array
+    std: Array | None = None
+    observed: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        expected = (len(self.frames), len(self.names), 3)
+        if self.xyz.shape != expected:
+            raise ValueError(f"xyz has shape {self.xyz.shape}, expected {expected}")
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFile:
+    """A file or folder of poses.
+
+    format : for people, such as "TRC".  fps, unit : as the file declares them, None = it does not say.
+    up : axis that points up, "x", "-x", ... "-z", by the file or by custom of its format.
+    notes : what the reader had to assume, plain sentences.
+    """
+
+    path: Path
+    format: str
+    people: tuple[PoseTable, ...]
+    fps: float | None
+    unit: str | None
+    up: str
+    notes: tuple[str, ...] = ()
+
+
+def text_of(path: Path) -> str:
+    """The text of a file; MocapError when it cannot be read or is no text."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise MocapError(
+            f"the file cannot be read: {error.strerror}", path=path, remedy="check the path"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise MocapError(
+            "the file is not text", path=path, remedy="check that its ending names its format"
+        ) from error
+
+
+def bad_line(path: Path, line: int, message: str) -> MocapError:
+    return MocapError(f"line {line}: {message}", path=path, remedy="export the file again")
+
+
+def number(path: Path, line: int, text: str, what: str) -> float:
+    """A finite number, or NaN for an empty cell or one that says nan."""
+    text = text.strip()
+    if not text or text.lower() in ("nan", "na", "null", "none"):
+        return float("nan")
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise bad_line(path, line, f"{what} is {text!r}, not a number") from error
+    if np.isinf(value):
+        raise bad_line(path, line, f"{what} is infinite")
+    return value
+
+
+def whole(path: Path, line: int, text: str, what: str) -> int:
+    """A whole number that counts something; so large a one as no recording has is refused like a word."""
+    value = number(path, line, text, what)
+    if not abs(value) < _MOST or value != int(value):
+        raise bad_line(path, line, f"{what} is {text.strip()!r}, not a whole number")
+    return int(value)
+
+
+def without_zeros(xyz: Array) -> tuple[Array, int]:
+    """Points that are exactly (0, 0, 0) are how many tools write "not seen": NaN, and how many there were."""
+    zero = (xyz == 0.0).all(axis=2)
+    return np.where(zero[:, :, None], np.nan, xyz), int(zero.sum())
+
+
+def zero_note(n: int) -> tuple[str, ...]:
+    if n == 0:
+        return ()
+    return (f"{n} point{'s' * (n != 1)} at exactly (0, 0, 0) taken as not seen",)

@@ -1,0 +1,121 @@
+"""CSV of poses: ours (one row per landmark) and wide ones (one row per frame, NAME_x, NAME_y, NAME_z)."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+
+from mocap.data import LANDMARKS
+from mocap.errors import MocapError
+from mocap.io.poses.table import (
+    PoseFile,
+    PoseTable,
+    bad_line,
+    number,
+    text_of,
+    whole,
+    without_zeros,
+    zero_note,
+)
+from mocap.io.tables import read_landmarks_csv
+
+_COLUMN = re.compile(r"^(?P<name>.+?)[ ._:\-]?(?P<axis>[xyzXYZ])(?:[ _(\[]+(?P<unit>mm|cm|m)[)\]]?)?$")
+_FRAME = ("frame", "frame#", "frame_number", "fnum", "frameid", "frame_id")
+_TIME = ("time", "time_s", "timestamp", "t", "seconds", "time(s)")
+_PERSON = ("person", "person_id", "id", "track", "subject")
+
+
+def read_csv(path: Path) -> PoseFile:
+    """Read poses from a CSV file, ours or a wide one; the header tells which.
+
+    Wide: columns `NAME_x, NAME_y, NAME_z` (or `NAME.x`, `NAMEX`, `NAME_x_mm`), one row per frame and person; `frame`,
+    `time` and `person` where there are such columns, else rows count from 0. Up is z.
+    Raises MocapError with the line for a cell that is no number or a frame that is there twice.
+    """
+    path = Path(path)
+    text = text_of(path)
+    lines = text.splitlines()
+    try:
+        header = [c.strip() for c in next(csv.reader(lines[:1], delimiter=_delimiter(text)), [])]
+        if "landmark" in header:
+            return _own(path)
+        return _wide(path, header, list(csv.reader(lines[1:], delimiter=_delimiter(text))))
+    except csv.Error as error:
+        raise MocapError(f"not a CSV file: {error}", path=path, remedy="export the file again") from error
+
+
+def _own(path: Path) -> PoseFile:
+    motions = read_landmarks_csv(path)
+    people = tuple(
+        PoseTable(m.person, LANDMARKS, m.frames, m.time_s, m.landmarks, m.std, m.observed) for m in motions
+    )
+    return PoseFile(path, "landmarks.csv", people, _rate(people), "m", "z")
+
+
+def _wide(path: Path, header: list[str], rows: list[list[str]]) -> PoseFile:
+    columns: dict[str, dict[str, int]] = {}
+    units = set()
+    for c, title in enumerate(header):
+        match = _COLUMN.match(title)
+        if match and title.lower() not in (*_FRAME, *_TIME, *_PERSON):
+            columns.setdefault(match["name"], {})[match["axis"].lower()] = c
+            if match["unit"]:
+                units.add(match["unit"])
+    points = {name: at for name, at in columns.items() if len(at) == 3}
+    if not points:
+        raise MocapError(
+            "no point was found: no three columns are named alike but for x, y and z",
+            path=path,
+            remedy="name the columns like left_knee_x, left_knee_y, left_knee_z",
+        )
+    lower = [title.lower() for title in header]
+    frame_at, time_at, person_at = (
+        next((lower.index(w) for w in words if w in lower), None) for words in (_FRAME, _TIME, _PERSON)
+    )
+    order = np.array([[at[axis] for axis in "xyz"] for at in points.values()])
+    found: dict[int, dict[int, tuple[float, list[list[float]]]]] = {}
+    for k, row in enumerate(rows):
+        line = k + 2
+        if not any(cell.strip() for cell in row):
+            continue
+        if len(row) != len(header):
+            raise bad_line(path, line, f"{len(row)} fields, expected {len(header)}")
+        person = 0 if person_at is None else whole(path, line, row[person_at], "person")
+        frame = k if frame_at is None else whole(path, line, row[frame_at], "frame")
+        there = found.setdefault(person, {})
+        if frame in there:
+            raise bad_line(path, line, f"frame {frame} of person {person} is there twice")
+        time = float("nan") if time_at is None else number(path, line, row[time_at], header[time_at])
+        there[frame] = (time, [[number(path, line, row[c], header[c]) for c in at] for at in order])
+    notes = [] if frame_at is not None else ["the table has no column `frame`: rows are counted from 0"]
+    people, n_zero = [], 0
+    for person in sorted(found):
+        frames = np.array(sorted(found[person]), dtype=np.int64)
+        xyz = np.array([found[person][f][1] for f in frames.tolist()])
+        xyz, zeros = without_zeros(xyz)
+        n_zero += zeros
+        time_s = np.array([found[person][f][0] for f in frames.tolist()])
+        people.append(PoseTable(person, tuple(points), frames, time_s, xyz))
+    unit = units.pop() if len(units) == 1 else None
+    return PoseFile(
+        path, "wide CSV", tuple(people), _rate(tuple(people)), unit, "z", (*notes, *zero_note(n_zero))
+    )
+
+
+def _rate(people: tuple[PoseTable, ...]) -> float | None:
+    """Frames per second from frame numbers and times; None without times."""
+    rates = []
+    for table in people:
+        known = np.isfinite(table.time_s)
+        frames, time_s = table.frames[known], table.time_s[known]
+        if len(frames) > 1 and time_s[-1] > time_s[0]:
+            rates.append(float((frames[-1] - frames[0]) / (time_s[-1] - time_s[0])))
+    return float(np.median(rates)) if rates else None
+
+
+def _delimiter(text: str) -> str:
+    first = text.partition("\n")[0]
+    return max(",;\t", key=first.count)
