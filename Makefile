@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-EXTRAS := dev,synth,export,view
+EXTRAS := dev,synth,export,view,cluster
 # Two worker processes; more only fight for memory on small machines.
 WORKERS ?= 2
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mocap import cli_cluster, cli_tools
 from mocap.errors import MocapError
 
 if TYPE_CHECKING:
@@ -50,6 +51,10 @@ ThreadsOption = Annotated[
 ]
 ResumeOption = Annotated[
     bool, typer.Option("--resume", help="Reuse stage products in OUT that nothing has changed for.")
+]
+ExpectedOption = Annotated[
+    int | None,
+    typer.Option("--expected-persons", min=1, help="Most persons there can be: who is lost is waited for."),
 ]
 FilterOption = Annotated[str | None, typer.Option("--filter", help="Pose filter; see --list-filters.")]
 ObservationOption = Annotated[
@@ -144,12 +149,17 @@ def _progress() -> Iterator[Progress]:
 
 
 def _config(
-    preset: str, settings: list[str] | None, filter_name: str | None = None, observation: str | None = None
+    preset: str,
+    settings: list[str] | None,
+    filter_name: str | None = None,
+    observation: str | None = None,
+    expected_persons: int | None = None,
 ) -> Any:
     from mocap.pipeline.config import load_config
 
     extra = [f"pose.filter={filter_name}"] if filter_name else []
     extra += [f"observation={observation}"] if observation else []
+    extra += [f"tracking.expected_persons={expected_persons}"] if expected_persons else []
     return load_config(preset, (*(settings or []), *extra))
 
 
@@ -175,10 +185,11 @@ def _run(
     resume: bool,
     filter_name: str | None = None,
     observation: str | None = None,
+    expected_persons: int | None = None,
 ) -> RunResult:
     from mocap.pipeline.run import run_session
 
-    config = _config(preset, settings, filter_name, observation)
+    config = _config(preset, settings, filter_name, observation, expected_persons)
     with _progress() as progress:
         result = run_session(
             session,
@@ -299,6 +310,7 @@ def run(
     settings: SetOption = None,
     filter_name: FilterOption = None,
     observation: ObservationOption = None,
+    expected_persons: ExpectedOption = None,
     seed: SeedOption = 0,
     frames: FramesOption = None,
     until: Annotated[
@@ -332,6 +344,7 @@ def run(
         resume=resume,
         filter_name=filter_name,
         observation=observation,
+        expected_persons=expected_persons,
     )
 
 
@@ -365,25 +378,152 @@ def _stage_command(stage: str, words: str) -> None:
 
 _stage_command("segment", "Foreground masks of every frame into OUT/store.zarr.")
 _stage_command("carve", "Coloured hulls of every frame; takes over finished masks in OUT.")
-_stage_command("track", "Who is where: OUT/tracks.csv; takes over finished hulls in OUT.")
+
+
+@app.command()
+def track(
+    session: SessionPath,
+    out: OutPath,
+    preset: PresetOption = "default",
+    settings: SetOption = None,
+    expected_persons: ExpectedOption = None,
+    seed: SeedOption = 0,
+    frames: FramesOption = None,
+    calibration: CalibrationOption = None,
+    threads: ThreadsOption = None,
+) -> None:
+    """Who is where: OUT/tracks.csv; takes over finished hulls in OUT."""
+    _run(
+        session,
+        out,
+        until="track",
+        preset=preset,
+        settings=settings,
+        seed=seed,
+        frames=frames,
+        calibration=calibration,
+        threads=threads,
+        resume=True,
+        expected_persons=expected_persons,
+    )
+
+
 _stage_command("pose", "Poses: OUT/landmarks.csv and pose.npz; takes over finished tracks in OUT.")
 
 
 @app.command(name="eval")
 def evaluate(
-    out: Annotated[Path, typer.Argument(help="Output folder of a run.")],
-    session: SessionPath,
+    estimate: Annotated[
+        Path, typer.Argument(help="Output folder of a run, or a file: TRC, C3D, BVH, CSV, Panoptic JSON.")
+    ],
+    truth: Annotated[Path, typer.Argument(help="Session folder with truth, or a file as for the estimate.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    html: Annotated[Path | None, typer.Option("--html", help="Write a page with pictures.")] = None,
     epsilon_mm: Annotated[float, typer.Option("--epsilon", min=1.0, help="Matching threshold, mm.")] = 100.0,
+    map_path: Annotated[
+        Path | None, typer.Option("--map", help="TOML: which points are our landmarks, units, axes.")
+    ] = None,
+    estimate_unit: Annotated[
+        str | None, typer.Option("--estimate-unit", help="m, cm or mm, whatever the file says.")
+    ] = None,
+    truth_unit: Annotated[str | None, typer.Option("--truth-unit", help="The same of the truth.")] = None,
+    estimate_up: Annotated[
+        str | None, typer.Option("--estimate-up", help="Axis of the file that is up: x, -x, y, -y, z, -z.")
+    ] = None,
+    truth_up: Annotated[str | None, typer.Option("--truth-up", help="The same of the truth.")] = None,
+    estimate_fps: Annotated[
+        float | None, typer.Option("--estimate-fps", min=0.001, help="Frames per second of the estimate.")
+    ] = None,
+    truth_fps: Annotated[
+        float | None, typer.Option("--truth-fps", min=0.001, help="Frames per second of the truth.")
+    ] = None,
+    frame_offset: Annotated[
+        int, typer.Option("--frame-offset", help="Added to the frame numbers of the estimate.")
+    ] = 0,
+    time_offset: Annotated[
+        float, typer.Option("--time-offset", help="Added to the times of the estimate, s.")
+    ] = 0.0,
+    actions: Annotated[
+        Path | None, typer.Option("--actions", help="CSV first_frame,last_frame,action: scores of each.")
+    ] = None,
+    cameras: Annotated[
+        Path | None, typer.Option("--cameras", help="Calibration: errors in pixels of these cameras too.")
+    ] = None,
+    epsilon_px: Annotated[float, typer.Option("--epsilon-px", min=0.1, help="Threshold in pixels.")] = 10.0,
+    learn_share: Annotated[
+        float,
+        typer.Option("--learn-share", min=0.01, max=0.9, help="Share of frames that offsets are learnt on."),
+    ] = 0.2,
 ) -> None:
-    """Score a run against the truth of its session."""
-    from mocap.pipeline.scoring import score_folder
+    """Score a run, or poses of another tool, against a truth."""
+    from mocap.io.poses import AXES, UNITS, SideMap
+    from mocap.pipeline.comparison import CompareOptions, compare, write_page
 
-    scores = score_folder(out, session, epsilon_mm=epsilon_mm)
+    for option, value, known in (
+        ("--estimate-unit", estimate_unit, UNITS),
+        ("--truth-unit", truth_unit, UNITS),
+        ("--estimate-up", estimate_up, AXES),
+        ("--truth-up", truth_up, AXES),
+    ):
+        if value is not None and value not in known:
+            raise MocapError(f"{option} is {value!r}", remedy=f"give one of {', '.join(known)}")
+    options = CompareOptions(
+        epsilon_mm=epsilon_mm,
+        epsilon_px=epsilon_px,
+        estimate=SideMap(unit=estimate_unit, up=estimate_up, fps=estimate_fps),
+        truth=SideMap(unit=truth_unit, up=truth_up, fps=truth_fps),
+        map_path=map_path,
+        frame_offset=frame_offset,
+        time_offset_s=time_offset,
+        actions_path=actions,
+        cameras_path=cameras,
+        learn_share=learn_share,
+    )
+    comparison = compare(estimate, truth, options)
+    if html is not None:
+        write_page(html, comparison, command=shlex.join(["mocap", *sys.argv[1:]]))
     if as_json:
-        typer.echo(json.dumps(scores))
-    else:
-        _say_scores(scores)
+        typer.echo(json.dumps(comparison.scores, allow_nan=False))
+        return
+    _say_comparison(comparison.scores)
+    if html is not None:
+        typer.echo(f"Look at {html}")
+
+
+_MORE_ROWS = (
+    ("pck_auc_percent", "PCK, area under the curve to 150 mm", "%"),
+    ("aligned.root.mean_error_mm", "error, root-aligned", "mm"),
+    ("aligned.procrustes.mean_error_mm", "error, Procrustes-aligned (PA)", "mm"),
+    ("offset_calibration.after.mean_error_mm", "error after offsets, held-out frames", "mm"),
+    ("angles.inverse_kinematics.mean_deg", "angle error after inv. kinematics", "deg"),
+    ("epsilon_search.by_lilliefors_mm", "natural epsilon (Lilliefors)", "mm"),
+    ("epsilon_search.by_r2_mm", "natural epsilon (R2 of Q-Q line)", "mm"),
+    ("acceleration_error_m_s2", "acceleration error", "m/s2"),
+    ("hota_percent", "HOTA, tracking", "%"),
+    ("image.mean_error_px", "error in the pictures", "px"),
+    ("image.mmta_percent", "MMTA in the pictures", "%"),
+)
+
+
+def _say_comparison(scores: dict[str, Any]) -> None:
+    _say_scores(scores)
+    for path, words, unit in _MORE_ROWS:
+        value: Any = scores
+        for key in path.split("."):
+            value = None if value is None else value.get(key)
+        if value is not None:
+            typer.echo(f"  {words:<36} {value:>6.1f} {unit}")
+    if (limbs := scores["lost_limbs"]) and limbs["f1"] is not None:
+        typer.echo(f"  {'F1 of lost limbs':<36} {limbs['f1']:>6.2f}")
+    for label, row in (scores["per_action"] or {}).items():
+        error, share = row["mean_error_mm"], row["mmta_percent"]
+        said = "nothing scored" if error is None else f"{error:.1f} mm, MMTA {share:.1f} %"
+        typer.echo(f"  {label} ({row['frames']} frames): {said}")
+    for note in scores["notes"]:
+        typer.echo(f"  note: {note}")
+    for warning in scores["warnings"]:
+        if warning != scores["unit_warning"]:
+            typer.echo(f"  warning: {warning}")
 
 
 @app.command()
@@ -500,6 +640,10 @@ def convert_calibration(
     typer.echo(f"{found.format}, units {found.units}: {len(found.rig)} cameras -> {out}")
     for note in (*found.notes, *found.warnings):
         typer.echo(f"  {note}")
+
+
+cli_tools.add_commands(app)
+cli_cluster.add_commands(app)
 
 
 if __name__ == "__main__":

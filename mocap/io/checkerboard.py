@@ -100,9 +100,9 @@ def measure_board(
         if len(names) < 2:
             continue
         cameras = [rig[n] for n in names]
-        pixels = [_numberings(view[names[0]], size)[0]]
+        pixels = [numberings(view[names[0]], size)[0]]
         for camera, name in zip(cameras[1:], names[1:], strict=True):
-            options = _numberings(view[name], size)
+            options = numberings(view[name], size)
             residuals = [
                 float(np.mean(_residual_px([cameras[0], camera], [pixels[0], option]))) for option in options
             ]
@@ -184,7 +184,7 @@ def _rms(errors: Array) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def _numberings(corners: Array, size: tuple[int, int]) -> list[Array]:
+def numberings(corners: Array, size: tuple[int, int]) -> list[Array]:
     """The ways to number the corners so that rows turn clockwise into columns.
 
     All cameras see the printed side, so a mirrored numbering is never right; it must not be tried either,
