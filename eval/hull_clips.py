@@ -45,10 +45,19 @@ class HullClip:
     std: Array
 
 
-def load_clip(scene: str, masks: str, work: Path, *, body_name: str = "anthropometric") -> HullClip:
+def load_clip(
+    scene: str,
+    masks: str,
+    work: Path,
+    *,
+    body_name: str = "anthropometric",
+    settings: tuple[str, ...] = (),
+    session_of: Callable[[Path], Path] = lambda folder: folder,
+) -> HullClip:
     """A development scene, synthesised and carried to its tracks once in the folder `work`.
 
-    masks : "video" = segmented from the pictures, "true" = the exact silhouettes.
+    masks : "video" = segmented from the pictures, "true" = the exact silhouettes.  settings : of the default preset.
+    session_of : makes another session from the folder of this one.
     """
     from data_synth import synthesise
     from mocap.body import build_look_up_table, load_body_model, scale_body
@@ -70,8 +79,9 @@ def load_clip(scene: str, masks: str, work: Path, *, body_name: str = "anthropom
             shutil.copytree(folder / "truth" / "masks", session / "masks")
             for file in ("calibration.toml", "session.toml"):
                 shutil.copy(folder / file, session / file)
+    session = session_of(session)
     out = work / "hulls" / session.name
-    config = load_config("default", ("output.formats=[]",))
+    config = load_config("default", ("output.formats=[]", *settings))
     result = run_session(session, out, config=config, until="track", resume=True)
     tracks = result.tracks
     if tracks is None or not tracks.persons:

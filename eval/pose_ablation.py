@@ -27,6 +27,10 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "no_scouts_no_rescue": ("pose.scouts=false",),
     "no_outlines": ("pose.outline_weight=0",),
     "outlines_only": ("pose.surface_weight=0",),
+    "no_colours": ("pose.colour_weight=0",),
+    "no_repair": ("pose.repair=false",),
+    "no_smoothing": ("pose.smooth_lag_frames=0",),
+    "size_from_head": ("body.sizing=head",),
     "no_feedback": ("pose.feedback_share=0",),
 }
 SCORES = (

@@ -1,5 +1,6 @@
 """The body: kinematic tree, flesh, sizes, first pose."""
 
+from mocap.body.files import body_toml, model_of
 from mocap.body.flesh import LookUpTable, build_look_up_table
 from mocap.body.hierarchy import hierarchy_presets, limb_presets, load_hierarchy, load_limbs
 from mocap.body.initial import HeightEstimate, candidate_states, head_top, height_from_tops
@@ -18,6 +19,7 @@ __all__ = [
     "HeightEstimate",
     "LookUpTable",
     "body_presets",
+    "body_toml",
     "build_look_up_table",
     "candidate_states",
     "cones_of",
@@ -30,6 +32,7 @@ __all__ = [
     "load_body_model",
     "load_hierarchy",
     "load_limbs",
+    "model_of",
     "neutral_state",
     "scale_body",
     "skeleton_of",

@@ -71,6 +71,15 @@ def cones_of(body: Body, state: Array) -> tuple[Array, Array]:
     return start, end
 
 
+def cones_of_particles(body: Body, states: Array, which: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Ends of some of the flesh cones of states (N, D): start and end (N, K', 3) m, world.  which : (K,) bool."""
+    R, t = joint_transforms(body, states)
+    joint = body.cones.joint[which]
+    start = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.start[which]) + t[:, joint]
+    end = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.end[which]) + t[:, joint]
+    return start, end
+
+
 def neutral_state(body: Body) -> Array:
     """A relaxed standing pose: legs straight, arms hanging, facing +x, root at hip height.  Returns (D,)."""
     state = np.zeros(body.layout.n_columns)

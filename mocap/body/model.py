@@ -84,6 +84,8 @@ class BodyModel(_Strict):
 
     name: str
     source: str = ""
+    height_m: float | None = Field(default=None, gt=0.05, lt=5.0)
+    """Standing height of the person, or of what else the body is; a run that is given one does not look for it."""
     round_ends: bool = False
     exclusive: bool = False
     joint: tuple[JointSpec, ...]
@@ -165,6 +167,11 @@ def load_body_model(name_or_path: str | Path) -> BodyModel:
             ) from error
         except UnicodeDecodeError as error:
             raise MocapError("not a text file in UTF-8", path=path, remedy="give a TOML file") from error
+    return parse_body_model(text, path)
+
+
+def parse_body_model(text: str, path: Path) -> BodyModel:
+    """The content of a body file; `path` names it in errors, which are those of `load_body_model`."""
     try:
         model = BodyModel.model_validate(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:

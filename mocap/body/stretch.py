@@ -86,3 +86,18 @@ def with_lengths(body: Body, lengths: dict[str, list[list[float]]]) -> Body:
             arrays["cone_start_m"], arrays["cone_end_m"], arrays["cone_radii_m"], cones.joint, cones.part
         ),
     )
+
+
+def resize_body(body: Body, lengths: float, radii: float) -> Body:
+    """The body with all lengths multiplied by one factor, the radii of its flesh by another, and the height with the
+    lengths."""
+    if not (np.isfinite([lengths, radii]).all() and lengths > 0 and radii > 0):
+        raise ValueError(f"lengths and radii must be positive factors, got {lengths} and {radii}")
+    cones = body.cones
+    return replace(
+        body,
+        height_m=body.height_m * lengths,
+        offset=body.offset * lengths,
+        landmark_offset=body.landmark_offset * lengths,
+        cones=replace(cones, start=cones.start * lengths, end=cones.end * lengths, radii=cones.radii * radii),
+    )

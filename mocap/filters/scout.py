@@ -34,14 +34,18 @@ class ScoutSettings:
     std_rad: float = 0.5
     max_limbs: int = 2
     """Limbs searched for in one call, the worst first."""
+    n_alternatives: int = 0
+    """Other poses of each limb that are handed back, the best ones that differ by more than `apart_rad`."""
+    apart_rad: float = 0.4
 
 
 @dataclass(frozen=True)
 class ScoutInfo:
-    """tried, accepted : names of the first part of each limb."""
+    """tried, accepted : names of the first part of each limb.  alternatives : (A, D) other poses, limb after limb."""
 
     tried: tuple[str, ...]
     accepted: tuple[str, ...]
+    alternatives: Array
 
 
 def limbs_of(layout: StateLayout) -> list[list[int]]:
@@ -72,7 +76,7 @@ def scout_limbs(
     layout = problem.layout
     per_part = problem.log_likelihood(state[None])[0]
     if per_part.shape[0] != layout.n_parts:
-        return state, ScoutInfo((), ())
+        return state, ScoutInfo((), (), state[None][:0])
     limbs = [limb for limb in limbs_of(layout) if len(_bounded_columns(layout, limb))]
     if bonus is None:
         limbs = [limb for limb in limbs if per_part[limb].min() < settings.threshold]
@@ -97,6 +101,7 @@ def scout_limbs(
     screened.sort(key=lambda entry: -entry[0])
 
     tried, accepted = [], []
+    alternatives: list[Array] = []
     best, best_value = state, start_value
     for _, limb, particles, value in screened[: settings.max_limbs]:
         name = layout.parts[limb[0]]
@@ -104,6 +109,7 @@ def scout_limbs(
         columns = _bounded_columns(layout, limb)
         # What an earlier limb has found holds for this one too.
         particles = np.where(np.isin(np.arange(layout.n_columns), columns), particles, best)
+        seen, seen_value = [particles], [value if best is state else np.full(len(value), -np.inf)]
         candidate, reached = particles[value.argmax()], float(value.max()) if best is state else -np.inf
         std = np.zeros(layout.n_columns)
         for scale in layer_scales(settings.n_layers, 0.5):
@@ -112,12 +118,31 @@ def scout_limbs(
             particles = particles[systematic(weights, settings.n_particles, rng=rng)]
             particles = problem.propagate(particles, std, rng=rng)
             value = value_of(particles, limb)
+            seen.append(particles)
+            seen_value.append(value)
             if value.max() > reached:
                 candidate, reached = particles[value.argmax()], float(value.max())
+        if settings.n_alternatives:
+            alternatives += _distinct(np.concatenate(seen), np.concatenate(seen_value), columns, settings)
         if reached > best_value + settings.margin:
             best, best_value = candidate.copy(), reached
             accepted.append(name)
-    return best, ScoutInfo(tuple(tried), tuple(accepted))
+    others = np.stack(alternatives) if alternatives else state[None][:0]
+    return best, ScoutInfo(tuple(tried), tuple(accepted), others)
+
+
+def _distinct(
+    particles: Array, value: Array, columns: NDArray[np.int64], settings: ScoutSettings
+) -> list[Array]:
+    """The best particles that differ from each other in a limb's columns."""
+    chosen: list[Array] = []
+    for i in np.argsort(-value, kind="stable"):
+        gaps = [np.abs(particles[i, columns] - c[columns]).max() for c in chosen]
+        if all(gap > settings.apart_rad for gap in gaps):
+            chosen.append(particles[i])
+            if len(chosen) == settings.n_alternatives:
+                break
+    return chosen
 
 
 def _bounded_columns(layout: StateLayout, limb: list[int]) -> NDArray[np.int64]:

@@ -1,5 +1,11 @@
 """How well a pose explains the data of a frame; all give per-part log-likelihoods."""
 
+from mocap.likelihood.appearance import (
+    Appearance,
+    ColourProblem,
+    colour_bins_of_voxels,
+    new_appearance,
+)
 from mocap.likelihood.combine import SumProblem
 from mocap.likelihood.fast import fast_part_scores
 from mocap.likelihood.marker_bundle import Bundle, BundleSettings, bundle_markers, point_jacobian
@@ -46,8 +52,10 @@ from mocap.likelihood.voxels import (
 )
 
 __all__ = [
+    "Appearance",
     "Bundle",
     "BundleSettings",
+    "ColourProblem",
     "HullSurface",
     "MarkerFitProblem",
     "MarkerFitSettings",
@@ -71,12 +79,14 @@ __all__ = [
     "VoxelProblem",
     "bundle_markers",
     "colour_bins",
+    "colour_bins_of_voxels",
     "factorised_log_likelihood",
     "fast_part_scores",
     "global_log_likelihood",
     "hull_surface",
     "marker_scores_numpy",
     "marker_views",
+    "new_appearance",
     "observe",
     "part_histograms",
     "part_scores",

@@ -342,3 +342,27 @@ def distance_to_cones(points, start, end, radii, distance):
             d = math.sqrt(dx * dx + dy * dy + dz * dz) - (radii[k, 0] + s * (radii[k, 1] - radii[k, 0]))
             best = min(best, d)
         distance[i] = best
+
+
+@njit(cache=True, nogil=True)
+def share_within(points, start, end, reach, share):
+    """Share of the points (U, 3) that lie within reach (K,) of an axis of N particles, start, end (N, K, 3)."""
+    for i in range(start.shape[0]):
+        n = 0
+        for u in range(points.shape[0]):
+            for k in range(start.shape[1]):
+                ax = end[i, k, 0] - start[i, k, 0]
+                ay = end[i, k, 1] - start[i, k, 1]
+                az = end[i, k, 2] - start[i, k, 2]
+                px = points[u, 0] - start[i, k, 0]
+                py = points[u, 1] - start[i, k, 1]
+                pz = points[u, 2] - start[i, k, 2]
+                s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
+                s = min(max(s, 0.0), 1.0)
+                dx = px - s * ax
+                dy = py - s * ay
+                dz = pz - s * az
+                if dx * dx + dy * dy + dz * dz < reach[k] * reach[k]:
+                    n += 1
+                    break
+        share[i] = n / max(points.shape[0], 1)

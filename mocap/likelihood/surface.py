@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from mocap.body.flesh import LookUpTable
-from mocap.body.kinematics import cones_of, joint_transforms
+from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.voxels import VoxelGrid, Voxels
@@ -20,6 +20,7 @@ from mocap.likelihood._surface_kernels import (
     distance_to_cones,
     hull_to_body,
     self_penetration,
+    share_within,
     surface_normals,
 )
 from mocap.likelihood.voxels import OCCUPIED_BIT, PackedVolume
@@ -220,6 +221,18 @@ class SurfaceProblem:
         distance = np.empty(len(self._points))
         distance_to_cones(self._points, start, end, self.body.cones.radii, distance)
         return self._points[distance > distance_m]
+
+    def explained_share(self, points: Array, particles: Array, limb: list[int], distance_m: float) -> Array:
+        """Share of points (U, 3) m that lie within distance_m of the flesh of one limb of particles (N, D): (N,).
+
+        limb : its parts. The flesh counts with its mean radii.
+        """
+        cones = self.body.cones
+        own = np.isin(cones.part, limb)
+        start, end = cones_of_particles(self.body, particles, own)
+        share = np.empty(len(particles))
+        share_within(points, start, end, cones.radii[own].mean(axis=1) + distance_m, share)
+        return share
 
 
 def _parts_apart_at_rest(

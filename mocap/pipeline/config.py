@@ -55,12 +55,28 @@ class VolumeConfig(_Section):
 
 
 class TrackingConfig(_Section):
-    """Person tracking (CF 4.2-4.3)."""
+    """Person tracking (CF 4.2-4.3; docs/tracking.md)."""
 
+    tracker: Literal["naive", "particle", "sparse"] = "naive"
+    """Ellipsoid of influence (CF 4.3.1), particle filter (CF 4.3.2) or sparse sampling (CF 4.3.3)."""
+    n_samples: int | None = Field(default=None, ge=1)
+    """Particles or samples per person; 100 or 800 when absent."""
+    colour: bool = True
+    """Use the voxels' colours: in the likelihood, when persons meet, and to know again who returns."""
+    expected_persons: int | None = Field(default=None, ge=1)
+    """Most persons there can be: never more are confirmed, and who is lost gives his number to the next who comes."""
+    voxel_size_m: float | None = Field(default=None, gt=0.002, le=0.5)
+    """Side of the voxels that persons are tracked on, at least that of the volume; the volume's own when absent."""
     confirm_frames: int = Field(default=3, ge=1)
     """Frames in which a blob must look like a person before it becomes one (fewer for shorter clips)."""
     lost_frames: int = Field(default=15, ge=0)
     """Frames that a person may be out of sight before the track ends."""
+    reid_s: float = Field(default=60.0, ge=0)
+    """Seconds after which a person who was lost is still known again by colour; 0 = never."""
+    person_tree: Literal["wide", "trained"] = "wide"
+    """What looks like a person (CF 4.2.3): wide limits set by hand, or a tree trained on synthetic scenes."""
+    published: bool = False
+    """The trackers as they stand in the source: their own estimates, no motion model, no repair of identities."""
 
 
 class BodyConfig(_Section):
@@ -69,7 +85,10 @@ class BodyConfig(_Section):
     model: str = "anthropometric"
     """A preset (`anthropometric`, `thesis`) or a body file."""
     height_m: float | None = Field(default=None, gt=0.3, lt=2.6)
-    """Standing height; the session's value or the volume decides when absent."""
+    """Standing height; the body file's value, the session's or the volume decides when absent."""
+    sizing: Literal["head", "poses"] = "head"
+    """How the volume decides: by the highest place of the head (CF 6.3.4), or by it and the size at which refined poses
+    explain the volumes best, for people who never stand upright."""
     marker_set: str = "markers_20"
     """Where markers sit: a set that comes with the package, or a file (docs/markers.md)."""
     marker_offsets: Literal["fit", "given"] = "fit"
@@ -134,15 +153,27 @@ class PoseConfig(_Section):
     """Second-order refinement of every estimate on the hull's surface; false = the published filter alone."""
     surface_weight: float = Field(default=1.0, ge=0)
     """Weight of the hull's surface in refinement and evidence."""
-    outline_weight: float = Field(default=1.0, ge=0)
+    outline_weight: float = Field(default=3.0, ge=0)
     """Weight of the silhouettes' outlines in refinement and evidence; 0 = without."""
+    posture_nats: float = Field(default=2.0, ge=0)
+    """What it costs a limb to point at right angles to where it hangs at ease, half of what the opposite way costs: it
+    decides what the data do not."""
+    colour_weight: float = Field(default=100.0, ge=0)
+    """Nats that the colours of the hull's surface are worth in the evidence, per nat of a point's colour; 0 = without.
+    What colours the limbs have is learnt while the person is followed."""
     feedback_share: float = Field(default=0.5, ge=0, lt=1)
     """Share of the particles that take over the refined pose."""
     scouts: bool = True
     """Search anew for limbs that fit badly, over their whole range; false = the published filter alone."""
+    repair: bool = True
+    """Where a limb jumps, carry it over from the other side while the frames gain by it, after all poses are found."""
     jump_nats: float = Field(default=0.0, ge=0)
     """Most that a landmark which moves faster than people do may cost a limb that was searched for anew; 0 = jumps are
     free."""
+    estimate: Literal["mean", "rotation_mean", "map"] = "mean"
+    """One pose for the particles of a frame: mean over angles (CF 3.19), over rotations, or the likeliest particle."""
+    smooth_lag_frames: int = Field(default=0, ge=0, le=1000)
+    """Later frames that a frame's pose is smoothed with, after all poses are found; 0 = not smoothed."""
     n_start_frames: int = Field(default=3, ge=1)
     """Frames of the first two seconds in which the first pose is looked for."""
     n_first_poses: int = Field(default=8, ge=1)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, candidate_states
 from mocap.filters import ApfSettings, ParticleState, apf_step, initial_particles
+from mocap.likelihood import Appearance
 from mocap.pipeline.limbs import recover_limbs
 from mocap.pipeline.pose_problem import FrameProblem, PersonHull, PoseTools
 
@@ -38,17 +39,18 @@ class PoseSearch:
     """The search for a first pose in one frame: what it is judged by.
 
     walking_xy : (2,) velocity of the person around this frame, m/s, or None; when the person walks, facing the other
-    way costs likelihood.
+    way costs likelihood.  appearance : what is known of the person's colours.
     """
 
     tools: PoseTools
     hull: PersonHull
     frame: int
     walking_xy: Array | None
+    appearance: Appearance | None = None
 
     @cached_property
     def problem(self) -> FrameProblem:
-        return self.tools.frame(self.hull)
+        return self.tools.frame(self.hull, self.appearance)
 
     @property
     def heading(self) -> float | None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body import Body, joint_transforms, landmarks_of
+from mocap.body import landmarks_of
 from mocap.filters import ScoutSettings, scout_limbs
-from mocap.likelihood import SurfaceFitSettings
+from mocap.filters.scout import Bonus
+from mocap.likelihood import ColourProblem, SurfaceProblem
 from mocap.pipeline.pose_problem import NATS_PER_M2, FrameProblem, PoseTools
 
 Array = NDArray[np.float64]
@@ -18,8 +20,38 @@ Array = NDArray[np.float64]
 _UNEXPLAINED_M = 0.05
 _UNEXPLAINED_SHARE = 0.025  # of the hull's surface points; loose clothes reach 0.01, a lost forearm 0.04
 _SCOUT_ZEAL = 4.0
+_N_LOST_POINTS = 24
+_EVERY_COLOUR = 2  # of the surface points with a colour, in the search
+_N_ALTERNATIVES = 4
+_SHORT_PAUSE, _LONG_PAUSE = 2, 4  # frames between searches
+_FALLEN_NATS = 4.0
+_FIND_NATS = 1.0  # a smaller gain is no find
+_USUAL_RATE = 0.2
 _FREE_SPEED_M_S = 4.0
 _JUMP_M = 0.25  # a jump by this much beyond the free speed costs all that a jump can cost
+
+
+@dataclass
+class Lookout:
+    """When limbs are searched for though each of them fits: soon after a find or when the evidence falls, ever more
+    rarely while nothing is found.
+    """
+
+    _pause: int = _SHORT_PAUSE
+    _wait: int = 0
+    _usual: float = float("nan")
+
+    def is_due(self, value: float) -> bool:
+        """Whether to search in this frame, whose pose has evidence value."""
+        self._wait -= 1
+        has_fallen = value < self._usual - _FALLEN_NATS
+        self._usual = value if np.isnan(self._usual) else self._usual + _USUAL_RATE * (value - self._usual)
+        return self._wait <= 0 or has_fallen
+
+    def note(self, gain: float) -> None:
+        """By how many nats a search has raised the evidence."""
+        self._pause = _SHORT_PAUSE if gain > _FIND_NATS else min(2 * self._pause, _LONG_PAUSE)
+        self._wait = self._pause
 
 
 def jump_nats(tools: PoseTools, states: Sequence[Array], previous: Array | None) -> Array:
@@ -45,37 +77,51 @@ def recover_limbs(
 ) -> Array:
     """A state (D,) with limbs searched for anew that fit badly or leave a piece of the hull unexplained.
 
-    look_at_hull : also search when much of the hull's surface is unexplained though every limb fits. The state comes
-    back unchanged unless the evidence grows, less the cost of a jump from the pose before (`jump_nats`).
+    look_at_hull : also search though every limb fits, for what of the hull is unexplained, what the colours say and
+    what is usual. The state comes back unchanged unless the evidence grows, less the cost of a jump from the pose
+    before (`jump_nats`).
     """
-    settings = ScoutSettings(max_limbs=max_limbs)
+    settings = ScoutSettings(max_limbs=max_limbs, n_alternatives=_N_ALTERNATIVES if look_at_hull else 0)
     surface = frame.surface
     lost = surface.unexplained(state, _UNEXPLAINED_M)
-    bonus = None
+    terms: list[Bonus] = []
     if look_at_hull and len(lost) > _UNEXPLAINED_SHARE * surface.n_points:
-        bonus = partial(_explained_nats, frame.tools.body, lost, len(lost) / surface.n_points)
-    found, scouted = scout_limbs(frame.voxels, state, settings, rng=rng, bonus=bonus)
-    if not scouted.accepted:
+        terms.append(partial(_explained_nats, surface, lost))
+    if look_at_hull and frame.colours is not None:
+        terms.append(partial(_colour_nats, frame.colours, frame.tools.pose.colour_weight, state))
+    if look_at_hull and frame.tools.pose.posture_nats > 0:
+        terms.append(partial(_posture_nats, frame, float(frame.posture.departure(state[None])[0])))
+
+    def bonus(particles: Array, limb: list[int]) -> Array:
+        return np.sum([term(particles, limb) for term in terms], axis=0)
+
+    found, scouted = scout_limbs(frame.voxels, state, settings, rng=rng, bonus=bonus if terms else None)
+    candidates = [state, *(frame.refined(s, 6) for s in scouted.alternatives)]
+    if scouted.accepted:
+        candidates += [found, frame.refined(found)]
+    if len(candidates) == 1:
         return state
-    candidates = [state, found, frame.refined(found)]
     worth = frame.evidence(candidates) - jump_nats(frame.tools, candidates, previous)
     return candidates[int(worth.argmax())]
 
 
-def _explained_nats(body: Body, lost: Array, lost_share: float, particles: Array, limb: list[int]) -> Array:
+def _explained_nats(surface: SurfaceProblem, lost: Array, particles: Array, limb: list[int]) -> Array:
     """Evidence of the lost hull points (U, 3) that a limb of each particle would explain, (N,)."""
-    some = lost[:: max(1, len(lost) // 24)]
-    rows = np.flatnonzero(np.isin(body.cones.part, limb))
-    R, t = joint_transforms(body, particles)
-    joint = body.cones.joint[rows]
-    start = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.start[rows]) + t[:, joint]
-    axis = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.end[rows] - body.cones.start[rows])
-    offset = some[None, None] - start[:, :, None]
-    along = np.einsum("nkuc,nkc->nku", offset, axis) / np.maximum((axis**2).sum(axis=2), 1e-12)[:, :, None]
-    foot = np.clip(along, 0.0, 1.0)[..., None] * axis[:, :, None]
-    reach = body.cones.radii[rows].mean(axis=1) + _UNEXPLAINED_M
-    near = (((offset - foot) ** 2).sum(axis=3) < (reach**2)[None, :, None]).any(axis=1)
+    some = lost[:: max(1, len(lost) // _N_LOST_POINTS)]
     # A lost point costs the surface term its robust limit, scale^2 / 2. The search overstates it: what it finds is
     # judged by the evidence itself.
-    per_share = _SCOUT_ZEAL * NATS_PER_M2 * 0.5 * SurfaceFitSettings().scale_m ** 2
-    return per_share * lost_share * near.mean(axis=1)
+    per_share = _SCOUT_ZEAL * NATS_PER_M2 * 0.5 * surface.settings.scale_m**2
+    lost_share = len(lost) / surface.n_points
+    return per_share * lost_share * surface.explained_share(some, particles, limb, _UNEXPLAINED_M)
+
+
+def _colour_nats(
+    colours: ColourProblem, weight: float, state: Array, particles: Array, limb: list[int]
+) -> Array:
+    """What the colours say for a limb of each particle, (N,), against the state (D,) they were made from."""
+    return weight * colours.limb_log_ratio(state, particles, limb, every=_EVERY_COLOUR)
+
+
+def _posture_nats(frame: FrameProblem, departure: float, particles: Array, limb: list[int]) -> Array:
+    """What the posture of each particle speaks for it, (N,), against that of the state they were made from."""
+    return frame.tools.pose.posture_nats * (departure - frame.posture.departure(particles))

@@ -14,6 +14,8 @@ from mocap.data import VoxelGrid
 from mocap.data.problem import ResidualProblem
 from mocap.filters import RefineSettings, refine
 from mocap.likelihood import (
+    Appearance,
+    ColourProblem,
     OutlineFitSettings,
     OutlineProblem,
     Outlines,
@@ -23,14 +25,17 @@ from mocap.likelihood import (
     SurfaceProblem,
     VoxelLikelihoodSettings,
     VoxelProblem,
+    colour_bins_of_voxels,
     hull_surface,
 )
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
+from mocap.pipeline.posture import Posture, usual_posture
 from mocap.volume import surface_map
 
 Array = NDArray[np.float64]
 
 CROP_MARGIN_M = 0.3  # how far beyond the hull particles may meet themselves
+N_COLOUR_POINTS = 600  # of the surface voxels, evenly thinned out
 MIN_VOXELS = 200  # fewer (1.6 litres at 2 cm) are no body: the pose is carried on instead
 # Nats per square metre of mean surface cost: the lost arm of a person, a tenth of the surface, is worth about 7.
 NATS_PER_M2 = 90_000.0
@@ -41,11 +46,14 @@ class PersonHull:
     """The voxels of one person in one frame.  voxels : (N,) int32 ascending.  is_surface : (N,) bool.
 
     outlines : makes the person's outlines in the cameras, or None where there are no masks.
+    rgb : (N, 3) uint8, the voxels' colours, and is_seen : (N,) bool, whether a camera sees them; None without pictures.
     """
 
     voxels: NDArray[np.int32]
     is_surface: NDArray[np.bool_]
     outlines: Callable[[], Outlines] | None = None
+    rgb: NDArray[np.uint8] | None = None
+    is_seen: NDArray[np.bool_] | None = None
 
 
 HullOf = Callable[[int], PersonHull | None]
@@ -85,8 +93,8 @@ class PoseTools:
         is_position = np.arange(self.body.layout.n_columns) < 3
         return RefineSettings(prior_std=np.where(is_position, 0.1, 0.5), n_iterations=n_iterations)
 
-    def frame(self, hull: PersonHull) -> FrameProblem:
-        """What poses are judged by in the frame of a hull."""
+    def frame(self, hull: PersonHull, appearance: Appearance | None = None) -> FrameProblem:
+        """What poses are judged by in the frame of a hull.  appearance : what is known of the person's colours."""
         volume = pack_volume(self.grid, hull, self.pose.surface_sigma_voxels)
         surface = hull_surface(hull.voxels, hull.is_surface, self.grid, volume)
         with_outlines = hull.outlines is not None and self.pose.outline_weight > 0
@@ -98,7 +106,16 @@ class PoseTools:
             outlines=None
             if outlines is None
             else OutlineProblem(self.body, self.table, outlines, self.outline_fit),
+            colours=self._colours(hull, appearance),
         )
+
+    def _colours(self, hull: PersonHull, appearance: Appearance | None) -> ColourProblem | None:
+        if appearance is None or hull.rgb is None or hull.is_seen is None or self.pose.colour_weight == 0:
+            return None
+        seen = np.flatnonzero(hull.is_seen)
+        seen = seen[:: max(1, len(seen) // N_COLOUR_POINTS)]
+        points = self.grid.centers(hull.voxels[seen])
+        return ColourProblem(self.body, points, colour_bins_of_voxels(hull.rgb[seen]), appearance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +128,12 @@ class FrameProblem:
     voxels: VoxelProblem
     surface: SurfaceProblem
     outlines: OutlineProblem | None
+    colours: ColourProblem | None = None
+
+    @cached_property
+    def posture(self) -> Posture:
+        """Where limbs usually point."""
+        return usual_posture(self.tools.body)
 
     @cached_property
     def fit(self) -> SumProblem:
@@ -123,19 +146,25 @@ class FrameProblem:
 
     @cached_property
     def coarse(self) -> FrameProblem:
-        """The same with fewer hull points and without outlines, for brief attempts."""
+        """The same with fewer hull points, without outlines and colours, for brief attempts."""
         settings = replace(self.tools.fit, n_hull_points=400, n_flesh_points=150)
         surface = SurfaceProblem(self.surface.body, self.surface.table, self.surface.hull, settings)
-        return replace(self, surface=surface, outlines=None)
+        return replace(self, surface=surface, outlines=None, colours=None)
 
     def log_likelihood(self, states: Sequence[Array] | Array) -> Array:
         """Log-likelihood of K states, (K,)."""
         return self.voxels.log_likelihood(np.stack(list(states))).sum(axis=1)
 
     def misfit(self, states: Sequence[Array] | Array) -> Array:
-        """The residuals' cost of K states in nats, (K,), whatever the number of points."""
+        """What the likelihood does not ask of K states, (K,) nats: the residuals' cost, that of an unusual
+        posture, less what the colours say."""
         cost = np.array([self.fit.normal_equations(s)[0] for s in states])
-        return NATS_PER_M2 * cost / max(self.surface.n_points, 1)
+        nats = NATS_PER_M2 * cost / max(self.surface.n_points, 1)
+        if self.tools.pose.posture_nats > 0:
+            nats += self.tools.pose.posture_nats * self.posture.departure(np.stack(list(states)))
+        if self.colours is not None:
+            nats -= self.tools.pose.colour_weight * self.colours.log_ratio(np.stack(list(states)))
+        return nats
 
     def evidence(self, states: Sequence[Array] | Array) -> Array:
         """How well K states explain the frame, (K,), nats."""

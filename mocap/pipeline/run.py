@@ -21,7 +21,7 @@ from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline import stages
 from mocap.pipeline.config import Config, config_hash, load_config
-from mocap.pipeline.pose import PersonPoses
+from mocap.pipeline.pose import PersonPoses, motion_numbers
 
 STAGES = ("segment", "carve", "track", "pose", "report")
 Progress = Callable[[str, int, int], None]
@@ -143,7 +143,10 @@ def run_session(
             numbers["carve"] = report.numbers
 
         if last >= 2:
-            do("track", lambda: stages.track_stage(session, config, store, keys["track"], progress=tick))
+            do(
+                "track",
+                lambda: stages.track_stage(session, config, store, keys["track"], seed=seed, progress=tick),
+            )
             tracks = stages.stored_tracks(store, session.fps)
             numbers["track"] = {"n_persons": len(tracks.persons)}
             if not tracks.persons:
@@ -189,6 +192,7 @@ def run_session(
                     "first_frame": int(p.frames[0]),
                     "last_frame": int(p.frames[-1]),
                     "start_frame": p.start_frame,
+                    **motion_numbers(p, session.fps),
                 }
                 for p in poses
             }
@@ -214,6 +218,8 @@ def run_session(
     started = time.perf_counter()
     with published(out, {p.person for p in poses} if until == "report" else None) as folder:
         write_outputs(result, store, config, folder, seed=seed, until=until, command=command, progress=tick)
+        for name, text in stages.body_files(store, poses).items() if last >= 3 else ():
+            write_text(folder / name, text)
         timings["report"] = time.perf_counter() - started
         write_run_json(result, config, keys, folder, seed=seed, command=command)
     return result
@@ -226,15 +232,18 @@ def stage_keys(session: Session, config: Config, seed: int, kind: str = "voxels"
     """
     inputs = _fingerprint_inputs(session)
     code = code_hash()
+    named = _fingerprint_named_files(config)
     if kind == "markers":
         detect = config_hash(code, inputs, config.markers)
-        pose = config_hash(detect, config.body, config.pose, seed, session.person_height_m, session.fps)
+        pose = config_hash(
+            detect, config.body, config.pose, named, seed, session.person_height_m, session.fps
+        )
         return {"detect": detect, "pose": pose}
     segment = config_hash(code, inputs, config.segmentation)
     carve = config_hash(segment, config.volume, str(session.room_bounds_m))
-    track = config_hash(carve, config.tracking)
+    track = config_hash(carve, config.tracking, seed if config.tracking.tracker != "naive" else 0)
     pose = config_hash(
-        track, config.body, config.likelihood, config.pose, seed, session.person_height_m, session.fps
+        track, config.body, config.likelihood, config.pose, named, seed, session.person_height_m, session.fps
     )
     return {"segment": segment, "carve": carve, "track": track, "pose": pose}
 
@@ -272,6 +281,18 @@ def _fingerprint_inputs(session: Session) -> str:
                     if size > 131072:
                         stream.seek(-65536, os.SEEK_END)
                         digest.update(stream.read())
+    return digest.hexdigest()[:16]
+
+
+def _fingerprint_named_files(config: Config) -> str:
+    """Hash of the user's files that the configuration names; those that come with the package are in `code_hash`."""
+    digest = hashlib.sha256()
+    for name in (config.body.model, config.body.marker_set, config.pose.hierarchy, config.pose.limbs):
+        path = Path(name)
+        digest.update(f"{name} ".encode())
+        if path.is_file():
+            content = path.read_bytes()
+            digest.update(f"{len(content)} ".encode() + content)
     return digest.hexdigest()[:16]
 
 

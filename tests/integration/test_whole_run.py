@@ -81,6 +81,7 @@ def test_every_output_is_there(full: RunResult) -> None:
     exports = {f"person_1.{suffix}" for suffix in ("bvh", "trc", "c3d", "glb")}
     assert names == {
         *("run.json", "tracks.csv", "landmarks.csv", "pose.npz", "scene.rrd", "report.html", "store.zarr"),
+        "body.toml",
         *exports,
     }
     assert full.status == "complete"
@@ -92,10 +93,15 @@ def test_every_output_is_there(full: RunResult) -> None:
 def test_tables(full: RunResult) -> None:
     with (full.out / "tracks.csv").open(newline="") as file:
         rows = list(csv.reader(file))
-    assert rows[0] == ["frame", "time_s", "person", "x_m", "y_m", "z_m"]
+    assert rows[0] == [
+        *("frame", "time_s", "person", "x_m", "y_m", "z_m"),
+        *("std_x_m", "std_y_m", "std_z_m", "status"),
+    ]
     assert [(int(r[0]), float(r[1]), int(r[2])) for r in rows[1:]] == [
         (f, f / FPS, 1) for f in range(N_FRAMES)
     ]
+    assert all(0 < float(std) < 0.2 for r in rows[1:] for std in r[6:9])
+    assert {r[9] for r in rows[1:]} <= {"confirmed", "coasting"}
     with (full.out / "landmarks.csv").open(newline="") as file:
         rows = list(csv.reader(file))
     assert rows[0] == [

@@ -11,7 +11,7 @@ from mocap.pipeline.stages.markers import (
     observation_kind,
     stored_detections,
 )
-from mocap.pipeline.stages.pose import estimate_poses, pose_stage, stored_poses
+from mocap.pipeline.stages.pose import body_files, estimate_poses, pose_stage, stored_poses
 from mocap.pipeline.stages.report import Progress, StageReport
 from mocap.pipeline.stages.segment import masks_from_arrays, read_masks, segment_report, segment_stage
 from mocap.pipeline.stages.track import stored_tracks, track_stage
@@ -19,6 +19,7 @@ from mocap.pipeline.stages.track import stored_tracks, track_stage
 __all__ = [
     "Progress",
     "StageReport",
+    "body_files",
     "carve_report",
     "carve_stage",
     "check_marker_config",

@@ -222,7 +222,9 @@ def marker_pose_stage(
         observation_of,
         session.fps,
         config,
-        height_m=config.body.height_m or session.person_height_m,
+        height_m=config.body.height_m
+        or load_body_model(config.body.model).height_m
+        or session.person_height_m,
         seed=seed,
         progress=lambda done, total: progress("pose", done, total),
     )

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body import scale_body
+from mocap.body import body_toml, model_of, scale_body
 from mocap.body.initial import HeightEstimate
-from mocap.body.model import load_body_model
+from mocap.body.model import load_body_model, parse_body_model
 from mocap.body.stretch import lengths_of, with_lengths
 from mocap.data import Tracks
 from mocap.io.session import Session
@@ -17,7 +19,7 @@ from mocap.io.store import StageStore
 from mocap.likelihood import OutlineFitSettings, Outlines, person_outlines, pinhole_view
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose import PersonPoses, estimate_height, follow_person
-from mocap.pipeline.pose_problem import PersonHull, make_tools
+from mocap.pipeline.pose_problem import HullOf, PersonHull, make_tools
 from mocap.pipeline.stages.carve import stored_grid
 from mocap.pipeline.stages.report import Progress
 from mocap.pipeline.stages.segment import masks_from_arrays
@@ -57,8 +59,7 @@ def estimate_poses(
 ) -> list[PersonPoses]:
     """Poses of every tracked person, one filter each, from the products of the earlier stages in the store."""
     grid = stored_grid(store)
-    hulls, owners, segments = store.reader("carve"), store.reader("track-owners"), store.reader("segment")
-    views = [pinhole_view(camera) for camera in session.rig]
+    sized = load_body_model(config.body.model).height_m
     n_total = len(tracks)
     done = 0
     results = []
@@ -70,35 +71,8 @@ def estimate_poses(
 
     for person in tracks.persons:
         own = tracks.of(person)
-
-        @lru_cache(maxsize=8)
-        def hull_of(frame: int, person: int = person) -> PersonHull | None:
-            arrays = hulls.read(frame)
-            owner = owners.read(frame)["owner"]
-            keep = owner == person
-            if not keep.any():
-                return None
-            # Surface of the person alone, so that a neighbour does not hide a side of him.
-            voxels = arrays["voxels"][keep].astype(np.int32, copy=False)
-            is_surface = surface_voxels(voxels, grid)
-            others = arrays["voxels"][(owner > 0) & ~keep & arrays["is_surface"].astype(np.bool_)]
-
-            @lru_cache(maxsize=1)
-            def outlines() -> Outlines:
-                found = segments.read(frame)
-                return person_outlines(
-                    views,
-                    session.rig,
-                    masks_from_arrays(found, session),
-                    grid.centers(voxels[is_surface]),
-                    grid.centers(others.astype(np.int32)),
-                    n_points=OutlineFitSettings().n_outline_points,
-                    is_whole=found["usable"] & arrays["used"].astype(np.bool_),
-                )
-
-            return PersonHull(voxels, is_surface, outlines)
-
-        given = config.body.height_m or session.person_height_m
+        hull_of = hulls_of_person(session, store, person)
+        given = config.body.height_m or sized or session.person_height_m
         height = (
             HeightEstimate(given, True)
             if given is not None
@@ -108,15 +82,68 @@ def estimate_poses(
             grid, session.fps, height.height_m, config.body.model, config.pose, config.likelihood, n_threads
         )
         results.append(
-            follow_person(person, own.frame, own.xyz, hull_of, tools, height, seed=seed, progress=tick)
+            follow_person(
+                person,
+                own.frame,
+                own.xyz,
+                hull_of,
+                tools,
+                height,
+                seed=seed,
+                is_size_fitted=given is None and config.body.sizing == "poses" and config.pose.refine,
+                progress=tick,
+            )
         )
     return results
+
+
+def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
+    """frame -> the voxels of one person, with its outlines, from the products of the earlier stages."""
+    grid = stored_grid(store)
+    hulls, owners, segments = store.reader("carve"), store.reader("track-owners"), store.reader("segment")
+    views = [pinhole_view(camera) for camera in session.rig]
+
+    @lru_cache(maxsize=8)
+    def hull_of(frame: int) -> PersonHull | None:
+        arrays = hulls.read(frame)
+        owner = owners.read(frame)["owner"]
+        keep = owner == person
+        if not keep.any():
+            return None
+        # Surface of the person alone, so that a neighbour does not hide a side of him.
+        voxels = arrays["voxels"][keep].astype(np.int32, copy=False)
+        is_surface = surface_voxels(voxels, grid)
+        others = arrays["voxels"][(owner > 0) & ~keep & arrays["is_surface"].astype(np.bool_)]
+
+        @lru_cache(maxsize=1)
+        def outlines() -> Outlines:
+            found = segments.read(frame)
+            return person_outlines(
+                views,
+                session.rig,
+                masks_from_arrays(found, session),
+                grid.centers(voxels[is_surface]),
+                grid.centers(others.astype(np.int32)),
+                n_points=OutlineFitSettings().n_outline_points,
+                is_whole=found["usable"] & arrays["used"].astype(np.bool_),
+            )
+
+        return PersonHull(
+            voxels,
+            is_surface,
+            outlines,
+            rgb=arrays["rgb"][keep].astype(np.uint8, copy=False),
+            is_seen=arrays["n_views"][keep] > 0,
+        )
+
+    return hull_of
 
 
 def store_poses(store: StageStore, key: str, config: Config, results: list[PersonPoses]) -> None:
     """Poses of all persons into the store; `stored_poses` reads them back."""
     attrs = {
-        "body_model": config.body.model,
+        # The file itself: it may be moved or changed before the poses are read.
+        "body_model": body_toml(load_body_model(config.body.model)),
         "persons": {
             str(r.person): {
                 "height_m": r.height.height_m,
@@ -145,10 +172,27 @@ def store_poses(store: StageStore, key: str, config: Config, results: list[Perso
             )
 
 
+def body_files(store: StageStore, poses: Sequence[PersonPoses]) -> dict[str, str]:
+    """Body files of the persons, file name -> text: body.toml of one person, body_1.toml and so on of several.
+
+    Each can be given to `body.model` in another run of the same person, who is then not measured again.
+    """
+    model = parse_body_model(store.reader("pose").attrs["body_model"], Path("store.zarr"))
+    files = {}
+    for p in poses:
+        name = "body.toml" if len(poses) == 1 else f"body_{p.person}.toml"
+        how = "as measured" if p.height.is_measured else "not measured: a usual height was taken"
+        comment = (
+            f"The body of person {p.person}, {how}. Use it again with --set body.model=PATH (docs/bodies.md)."
+        )
+        files[name] = body_toml(model_of(p.body, model), comment)
+    return files
+
+
 def stored_poses(store: StageStore) -> list[PersonPoses]:
     """Poses of all persons from the store."""
     reader = store.reader("pose")
-    model = load_body_model(reader.attrs["body_model"])
+    model = parse_body_model(reader.attrs["body_model"], Path("store.zarr"))
     rows: dict[int, list[tuple[int, dict[str, NDArray[np.generic]], int]]] = {}
     for frame, arrays in reader:
         for i, person in enumerate(arrays["person"]):

@@ -1,0 +1,341 @@
+"""Whether the landmarks' standard deviations are honest, and what smoothing is worth.
+
+    python -m eval.pose_coverage [--only walk,dev:walk] [--seeds 2] [--fit] [--test] [--work out/eval]
+
+Runs the pose stage of the default preset on the first 80 frames of development sessions (with --test of held-out scenes
+instead), prints coverage per session and per kind of landmark, and error and jitter before and after smoothing. Writes
+eval/results/pose_coverage.csv and a reliability diagram, eval/results/pose_coverage.png. With --fit it prints the
+constants `UNCERTAINTY` of mocap/pipeline/estimate.py that make the regions of the development sessions hold what they
+should. Poses are kept in WORK/coverage; --again makes them anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eval.pose_ablation import prepare
+from eval.pose_sessions import DEV, ROOT
+
+RESULTS = ROOT / "eval" / "results" / "pose_coverage.csv"
+PICTURE = ROOT / "eval" / "results" / "pose_coverage.png"
+SCENES = ("walk", "box", "gesture", "jog", "throw")
+DEV_SESSIONS = ("walk", "reach", "cross", "room")
+TEST = ("walk_test", "gesture_test", "box_test")
+FIELDS = (
+    "set",
+    "session",
+    "seed",
+    "landmarks",
+    "coverage_90_percent",
+    "coverage_50_percent",
+    "std_factor",
+    "calibration_error_percent",
+    "sharpness_90_mm",
+    "observed_percent",
+    "lost_flagged_percent",
+    "lost_wrist_percent",
+    "mean_error_mm",
+    "raw_mean_error_mm",
+    "acceleration_error_m_s2",
+    "raw_acceleration_error_m_s2",
+)
+LOST_MM = 150.0
+N_FRAMES = 80
+FIT_LEVELS = ((0.9, 1.0), (0.5, 0.3))  # level, weight
+N_BINS = 4  # of misfit, in which the regions should hold alike
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Claims:
+    """Estimates of one run and what they claim, persons one after the other.
+
+    estimate, raw, truth, std : (T, 15, 3) m; raw is not smoothed.  blind : (T,), frames without a volume.
+    misfit : (T, 15) nats.  observed : (T, 15).  person, frame : (T,).  fps : ().
+    """
+
+    session: str
+    seed: int
+    estimate: Array
+    raw: Array
+    truth: Array
+    std: Array
+    blind: Array
+    misfit: Array
+    observed: NDArray[np.bool_]
+    person: Array
+    frame: Array
+    fps: Array
+
+
+def claims_of(name: str, seed: int, work: Path, *, again: bool) -> Claims:
+    """The poses of one session and seed, from WORK/coverage or made now."""
+    path = work / "coverage" / f"{name.replace(':', '_')}_{seed}.npz"
+    if again or not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(path, **_measured(name, seed, work))
+    with np.load(path) as found:
+        return Claims(name, seed, **{key: found[key] for key in found.files})
+
+
+def _measured(name: str, seed: int, work: Path) -> dict[str, Any]:
+    from mocap.body import landmarks_of
+    from mocap.data import Motion, Tracks
+    from mocap.io.session import open_session
+    from mocap.io.store import StageStore
+    from mocap.io.tables import read_landmarks_csv
+    from mocap.metrics import associate_persons
+    from mocap.pipeline import stages
+    from mocap.pipeline.config import load_config
+    from mocap.pipeline.estimate import landmark_misfit
+
+    folder, out = prepare(name, work, trust_store=True)
+    session, store = open_session(folder), StageStore(out / "store.zarr")
+    tracks = stages.stored_tracks(store, session.fps)
+    early = tracks.frame < session.frames.start + N_FRAMES
+    found = stages.estimate_poses(
+        session,
+        load_config(),
+        store,
+        Tracks(tracks.frame[early], tracks.person[early], tracks.time_s[early], tracks.xyz[early]),
+        seed=seed,
+        n_threads=1,
+        progress=lambda stage, done, total: None,
+    )
+    truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
+    motions = [Motion(p.person, p.frames, p.frames / session.fps, p.landmarks) for p in found]
+    of_person = {p.person: p for p in found}
+    columns: dict[str, list[Any]] = {
+        k: [] for k in Claims.__annotations__ if k not in ("session", "seed", "fps")
+    }
+    for motion, true in associate_persons(motions, truth):
+        poses = None if motion is None else of_person[motion.person]
+        if poses is None or poses.series is None:
+            continue
+        _, a, b = np.intersect1d(poses.frames, true.frames, return_indices=True)
+        columns["estimate"].append(poses.landmarks[a])
+        columns["truth"].append(true.landmarks[b])
+        columns["std"].append(np.sqrt(np.diagonal(poses.landmark_covariance, axis1=2, axis2=3))[a])
+        columns["blind"].append(np.isnan(poses.log_likelihood[a]))
+        columns["misfit"].append(landmark_misfit(poses.body, poses.series)[a])
+        columns["raw"].append(landmarks_of(poses.body, poses.series.states)[a])
+        columns["person"].append(np.full(len(a), poses.person))
+        columns["frame"].append(poses.frames[a])
+        columns["observed"].append(poses.observed[a])
+    return {key: np.concatenate(value) for key, value in columns.items()} | {"fps": np.array(session.fps)}
+
+
+def row_of(claims: Claims, which: str) -> dict[str, Any]:
+    """Scores of one run as a flat row."""
+    from mocap.metrics import coverage_scores
+    from mocap.metrics.evaluate import lost_wrist_percent
+    from mocap.metrics.smoothness import smoothness_scores
+    from mocap.metrics.uncertainty import reliability
+
+    honest = reliability(claims.estimate, claims.truth, claims.std)
+    at_90 = coverage_scores(claims.estimate, claims.truth, claims.std)
+    at_50 = coverage_scores(claims.estimate, claims.truth, claims.std, 0.5)
+    error = 1000.0 * np.linalg.norm(claims.estimate - claims.truth, axis=2)
+    is_lost = error > LOST_MM
+    row: dict[str, Any] = {
+        "set": which,
+        "session": claims.session,
+        "seed": claims.seed,
+        "landmarks": at_90.n,
+        "coverage_90_percent": at_90.coverage_percent,
+        "coverage_50_percent": at_50.coverage_percent,
+        "std_factor": None if honest is None else honest.std_factor,
+        "calibration_error_percent": None if honest is None else honest.calibration_error_percent,
+        "sharpness_90_mm": at_90.sharpness_mm,
+        "observed_percent": 100.0 * float(claims.observed.mean()),
+        "lost_flagged_percent": 100.0 * float((~claims.observed[is_lost]).mean()) if is_lost.any() else None,
+    }
+    row |= {"lost_wrist_percent": lost_wrist_percent(claims.estimate, claims.truth)}
+    for prefix, landmarks in (("", claims.estimate), ("raw_", claims.raw)):
+        row[f"{prefix}mean_error_mm"] = 1000.0 * float(
+            np.nanmean(np.linalg.norm(landmarks - claims.truth, axis=2))
+        )
+        shaky = []
+        for person in np.unique(claims.person):
+            own = claims.person == person
+            scores = smoothness_scores(
+                landmarks[own], claims.truth[own], claims.frame[own], float(claims.fps)
+            )
+            if scores.acceleration_error_m_s2 is not None:
+                shaky.append(scores.acceleration_error_m_s2)
+        row[f"{prefix}acceleration_error_m_s2"] = float(np.mean(shaky)) if shaky else None
+    return {k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}
+
+
+def fit_constants(found: list[Claims]) -> dict[str, tuple[float, float]]:
+    """Floor and growth per nat, m, of every kind of landmark: those whose regions hold what they should, in groups from
+    good to bad fits, every session weighing the same."""
+    from scipy.special import chdtri
+
+    from mocap.data import LANDMARKS
+    from mocap.pipeline.estimate import UNCERTAINTY, landmark_kind
+
+    out = {}
+    for kind in UNCERTAINTY:
+        own = [m for m, name in enumerate(LANDMARKS) if landmark_kind(name) == kind]
+        floor, per_nat = UNCERTAINTY[kind]
+        error, rest, misfit, weight = [], [], [], []
+        for c in found:
+            seen = np.isfinite(c.truth).all(axis=(1, 2)) & ~c.blind.astype(bool)
+            m = c.misfit[seen][:, own]
+            error.append(((c.estimate - c.truth)[seen][:, own]).reshape(-1, 3))
+            # What the fit itself claims is left when the present constants are taken off.
+            rest.append(
+                (c.std[seen][:, own] ** 2 - (floor**2 + (per_nat * m) ** 2)[..., None]).reshape(-1, 3)
+            )
+            misfit.append(m.ravel())
+            weight.append(np.full(m.size, 1.0 / max(m.size, 1)))
+        e, r, m, w = (np.concatenate(x) for x in (error, rest, misfit, weight))
+        edges = np.quantile(m, np.linspace(0, 1, N_BINS + 1))
+        group = np.clip(np.searchsorted(edges, m, side="right") - 1, 0, N_BINS - 1)
+        best = (np.inf, floor, per_nat)
+        for a in np.arange(0.003, 0.0301, 0.001):
+            for b in np.arange(0.0, 0.0251, 0.001):
+                squared = (e**2 / (np.maximum(r, 0.0) + (a**2 + (b * m) ** 2)[:, None])).sum(axis=1)
+                cost = 0.0
+                for level, importance in FIT_LEVELS:
+                    inside = squared <= chdtri(3, 1.0 - level)
+                    share = np.bincount(group, w * inside, N_BINS) / np.bincount(group, w, N_BINS)
+                    overall = float((w * inside).sum() / w.sum())
+                    cost += importance * (float(((share - level) ** 2).mean()) + (overall - level) ** 2)
+                if cost < best[0]:
+                    best = (cost, float(a), float(b))
+        out[kind] = (round(best[1], 3), round(best[2], 3))
+    return out
+
+
+def by_kind(found: list[Claims]) -> list[str]:
+    """Coverage of 90 % regions per kind of landmark, sessions weighing the same, as lines of text."""
+    from mocap.data import LANDMARKS
+    from mocap.metrics import coverage_scores
+    from mocap.pipeline.estimate import UNCERTAINTY, landmark_kind
+
+    lines = []
+    for kind in UNCERTAINTY:
+        own = [m for m, name in enumerate(LANDMARKS) if landmark_kind(name) == kind]
+        scores = [coverage_scores(c.estimate[:, own], c.truth[:, own], c.std[:, own]) for c in found]
+        values = [s.coverage_percent for s in scores if s.coverage_percent is not None]
+        lines.append(f"{kind:9s} {np.mean(values):5.1f} % (sessions {min(values):.0f} to {max(values):.0f})")
+    return lines
+
+
+def by_misfit(found: list[Claims]) -> list[str]:
+    """Median error of the arms' and legs' ends in quarters of misfit, from good to bad fits, as lines of text."""
+    from mocap.data import LANDMARKS
+    from mocap.pipeline.estimate import landmark_kind
+
+    lines = []
+    for kind in ("wrist", "ankle"):
+        own = [m for m, name in enumerate(LANDMARKS) if landmark_kind(name) == kind]
+        error = np.concatenate([np.linalg.norm(c.raw - c.truth, axis=2)[:, own].ravel() for c in found])
+        misfit = np.concatenate([c.misfit[:, own].ravel() for c in found])
+        group = np.clip(np.searchsorted(np.quantile(misfit, [0.25, 0.5, 0.75]), misfit), 0, N_BINS - 1)
+        medians = [1000.0 * float(np.nanmedian(error[group == k])) for k in range(N_BINS)]
+        lines.append(f"{kind}, by misfit: median error {', '.join(f'{m:.0f}' for m in medians)} mm")
+    return lines
+
+
+def means(found: list[Claims]) -> str:
+    """Means over the sessions in one line."""
+    rows = [row_of(c, "") for c in found]
+    words = []
+    for key in FIELDS[4:]:
+        values = [float(r[key]) for r in rows if r[key] is not None]
+        words.append(f"{key} {np.mean(values):.2f}" if values else f"{key} -")
+    return "mean over sessions: " + ", ".join(words)
+
+
+def draw(groups: dict[str, list[Claims]]) -> None:
+    """Reliability diagram and error against claim, one line per set of sessions."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    from mocap.metrics.uncertainty import reliability
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(8.4, 4.0), layout="constrained")
+    left.plot([0, 100], [0, 100], color="0.7", lw=1)
+    top = 1.0
+    for (name, found), colour in zip(groups.items(), ("#0072b2", "#d55e00"), strict=False):
+        honest = reliability(
+            *(np.concatenate([getattr(c, k) for c in found]) for k in ("estimate", "truth", "std"))
+        )
+        if honest is None:
+            continue
+        left.plot(honest.level_percent, honest.coverage_percent, "o-", ms=3, color=colour, label=name)
+        right.plot(honest.claimed_mm, honest.found_mm, "o-", ms=3, color=colour, label=name)
+        top = max(top, honest.claimed_mm.max(), honest.found_mm.max())
+    right.plot([0, top], [0, top], color="0.7", lw=1)
+    left.set(xlabel="region should hold, %", ylabel="truth inside, %", title="Coverage")
+    right.set(xlabel="claimed deviation per axis, mm", ylabel="found, mm", title="Error against claim")
+    left.legend()
+    figure.savefig(PICTURE, dpi=90)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", help="sessions, separated by commas")
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--fit", action="store_true", help="print constants fitted to these sessions")
+    parser.add_argument("--test", action="store_true", help="held-out scenes instead of development sessions")
+    parser.add_argument("--again", action="store_true", help="make the poses anew")
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
+    arguments = parser.parse_args()
+    if arguments.test and arguments.fit:
+        parser.error("nothing is fitted on held-out scenes")
+    names = (
+        [*TEST] if arguments.test else [*SCENES, *(f"dev:{n}" for n in DEV_SESSIONS if (DEV / n).is_dir())]
+    )
+    if arguments.only:
+        names = arguments.only.split(",")
+    which = "test" if set(names) <= set(TEST) else "development"
+    found = []
+    for name in names:
+        for seed in range(arguments.seeds):
+            claims = claims_of(name, seed, arguments.work, again=arguments.again)
+            found.append(claims)
+            row = row_of(claims, which)
+            sys.stdout.write(" ".join(f"{k}={row[k]}" for k in FIELDS[1:]) + "\n")
+            sys.stdout.flush()
+    sys.stdout.write("\n".join([*by_kind(found), *by_misfit(found)]) + "\n" + means(found) + "\n")
+    if arguments.fit:
+        for kind, (floor, per_nat) in fit_constants(found).items():
+            sys.stdout.write(f'    "{kind}": ({floor:.3f}, {per_nat:.3f}),\n')
+    kept = []
+    if RESULTS.exists():
+        with RESULTS.open(encoding="utf-8", newline="") as stream:
+            kept = [r for r in csv.DictReader(stream) if r["set"] != which]
+    RESULTS.parent.mkdir(parents=True, exist_ok=True)
+    with RESULTS.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, FIELDS)
+        writer.writeheader()
+        writer.writerows([*kept, *(row_of(c, which) for c in found)])
+    groups: dict[str, list[Claims]] = {}
+    for path in sorted((arguments.work / "coverage").glob("*.npz")):
+        stem, _, seed_text = path.stem.rpartition("_")
+        name = stem.replace("dev_", "dev:", 1)
+        group = "test scenes" if name in TEST else "development sessions"
+        groups.setdefault(group, []).append(claims_of(name, int(seed_text), arguments.work, again=False))
+    draw(groups)
+
+
+if __name__ == "__main__":
+    main()

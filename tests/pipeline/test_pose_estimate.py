@@ -1,0 +1,188 @@
+"""Smoothing of poses, their uncertainty, and the point estimates: closed forms and one-sided bounds."""
+
+import numpy as np
+import pytest
+from flesh_voxels import make_flesh
+from marker_world import marching
+
+from mocap.body import landmarks_of, load_body_model, scale_body
+from mocap.body.average import mean_state
+from mocap.data import LANDMARKS
+from mocap.filters import ParticleState, apf_step, initial_particles
+from mocap.filters.scout import limbs_of
+from mocap.pipeline.config import LikelihoodConfig, PoseConfig
+from mocap.pipeline.estimate import (
+    UNCERTAINTY,
+    USUAL_UNEXPLAINED,
+    FrameSeries,
+    fit_information,
+    landmark_covariances,
+    landmark_kind,
+    landmark_parts,
+    limb_misfit,
+    point_estimate,
+    smooth_motion,
+)
+from mocap.pipeline.filter_settings import filter_settings
+from mocap.pipeline.pose_problem import make_tools
+
+BODY = scale_body(load_body_model("anthropometric"), 1.77)
+LAYOUT = BODY.layout
+FPS = 30.0
+T = 22
+
+
+def series_of(states: np.ndarray, **changes: np.ndarray) -> FrameSeries:
+    n, D = states.shape
+    fields = {
+        "states": states,
+        "information": np.zeros((n, D, D)),
+        "spread": np.zeros((n, len(LANDMARKS), 3, 3)),
+        "misfit": np.ones((n, LAYOUT.n_parts)),
+        "unexplained": np.zeros(n),
+        "blind_std": np.zeros(n),
+    }
+    return FrameSeries(**(fields | changes))
+
+
+def trembling(scale: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A marching body, and the same with errors in every column."""
+    truth = marching(BODY, T, FPS)
+    noise = np.random.default_rng(seed).standard_normal(truth.shape)
+    noise *= scale * np.where(np.arange(truth.shape[1]) < 3, 0.2, 1.0)
+    return truth, np.clip(truth + noise, LAYOUT.lower, LAYOUT.upper)
+
+
+def error_m(states: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(landmarks_of(BODY, states) - landmarks_of(BODY, truth), axis=2)
+
+
+def second_differences(states: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(landmarks_of(BODY, states), 2, axis=0), axis=2).mean())
+
+
+def test_smoothing_takes_the_trembling_and_not_the_motion() -> None:
+    truth, shaky = trembling(0.04)
+    smooth = smooth_motion(BODY, series_of(shaky), FPS, 8)
+    assert error_m(smooth, truth).mean() < 0.8 * error_m(shaky, truth).mean()
+    assert second_differences(smooth) < 0.4 * second_differences(shaky)
+    assert np.all(smooth >= LAYOUT.lower)
+    assert np.all(smooth <= LAYOUT.upper)
+
+
+def test_a_motion_without_trembling_stays() -> None:
+    truth, _ = trembling(0.0)
+    assert error_m(smooth_motion(BODY, series_of(truth), FPS, 8), truth).max() < 0.004
+
+
+def test_an_arm_that_is_lost_for_two_frames_comes_back() -> None:
+    truth, shaky = trembling(0.01)
+    arm = [LAYOUT.names.index(n) for n in ("left_shoulder_x", "left_shoulder_z", "left_elbow_z")]
+    lost = (9, 10)
+    for i in lost:
+        shaky[i, arm] = LAYOUT.lower[arm]
+    misfit = np.ones((T, LAYOUT.n_parts))
+    limb = next(p for p in limbs_of(LAYOUT) if LAYOUT.parts[p[0]] == "left_upper_arm")
+    misfit[np.ix_(lost, limb)] = 8.0
+    wrist = LANDMARKS.index("left_wrist")
+    before = error_m(shaky, truth)[list(lost), wrist].min()
+    assert before > 0.2
+    smooth = smooth_motion(BODY, series_of(shaky, misfit=misfit), FPS, 8)
+    assert error_m(smooth, truth)[list(lost), wrist].max() < 0.25 * before
+    assert error_m(smooth, truth)[:, LANDMARKS.index("right_wrist")].max() < 0.03
+
+
+def test_a_pose_that_was_carried_on_is_bridged() -> None:
+    truth, _ = trembling(0.0)
+    held, blind = truth.copy(), np.zeros(T)
+    for k, i in enumerate(range(8, 13)):
+        held[i], blind[i] = truth[7], 0.02 + 0.03 * (k + 1)
+    smooth = smooth_motion(BODY, series_of(held, blind_std=blind), FPS, 10)
+    gap = slice(8, 13)
+    assert error_m(smooth, truth)[gap].mean() < 0.5 * error_m(held, truth)[gap].mean()
+
+
+def test_uncertainty_is_the_fits_and_the_bodys_and_the_limbs() -> None:
+    """Closed form where the fit knows the root's place alone, to 1 mm: floor, growth and blind frames add up."""
+    states = marching(BODY, 3, FPS)
+    misfit = np.zeros((3, LAYOUT.n_parts))
+    limb = next(p for p in limbs_of(LAYOUT) if LAYOUT.parts[p[0]] == "right_upper_arm")
+    misfit[1, limb[1]] = 4.0
+    information = np.zeros((3, LAYOUT.n_columns, LAYOUT.n_columns))
+    information[:] = 1e6 * np.eye(LAYOUT.n_columns)
+    blind = np.array([0.0, 0.0, 0.05])
+    series = series_of(states, misfit=misfit, information=information, blind_std=blind)
+    covariance = landmark_covariances(BODY, series, is_refined=True)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    variance = np.einsum("tlcc->tl", covariance) / 3
+    for m, name in enumerate(LANDMARKS):
+        floor, per_nat = UNCERTAINTY[landmark_kind(name)]
+        for i in range(3):
+            nats = 4.0 if i == 1 and name in ("right_shoulder", "right_elbow", "right_wrist") else 0.0
+            own = floor**2 + (per_nat * nats) ** 2 + blind[i] ** 2
+            # The fit: 1 mm in the place of the root, and 1 mrad in every angle on the way, less than 3 m in all.
+            assert own + 1e-6 * (1 - 1e-3) <= variance[i, m] <= own + 1e-6 + 9e-6
+
+
+def test_a_hull_that_holds_more_than_the_body_makes_unsure() -> None:
+    states = marching(BODY, 4, FPS)
+    shares = np.array([0.0, USUAL_UNEXPLAINED, 0.5, 0.8])
+    covariance = landmark_covariances(BODY, series_of(states, unexplained=shares), is_refined=True)
+    variance = np.einsum("tlcc->tl", covariance) / 3
+    np.testing.assert_array_equal(variance[0], variance[1])
+    assert np.sqrt(variance[2] - variance[0]).min() > 0.1
+    assert np.sqrt(variance[3] - variance[0]).min() > np.sqrt(variance[2] - variance[0]).max()
+
+
+def test_without_refinement_the_particles_spread_counts() -> None:
+    spread = np.zeros((2, len(LANDMARKS), 3, 3))
+    spread[:] = np.diag([1e-4, 4e-4, 9e-4])
+    states = marching(BODY, 2, FPS)
+    with_spread = landmark_covariances(BODY, series_of(states, spread=spread), is_refined=False)
+    without = landmark_covariances(BODY, series_of(states), is_refined=False)
+    np.testing.assert_allclose(with_spread - without, spread)
+
+
+def test_the_worse_the_fit_the_less_it_knows() -> None:
+    H = np.diag(np.arange(1.0, 6.0))
+    good, bad = fit_information(0.01, H, 100), fit_information(0.04, H, 100)
+    np.testing.assert_allclose(good, 4 * bad)
+    np.testing.assert_allclose(fit_information(0.02, 2 * H, 200), 2 * good)
+    np.testing.assert_array_equal(fit_information(0.0, H, 100), 0 * H)
+
+
+def test_the_misfit_of_a_limb_is_its_worst_parts() -> None:
+    misfit = np.arange(LAYOUT.n_parts, dtype=np.float64)[None] / 2
+    limbs = limb_misfit(LAYOUT, misfit)[0]
+    for limb in limbs_of(LAYOUT):
+        np.testing.assert_array_equal(limbs[limb], misfit[0, limb].max())
+    assert limbs[0] == misfit[0, 0]
+    assert limb_misfit(LAYOUT, 1e6 * misfit).max() < 100
+    parts = landmark_parts(BODY)
+    assert LAYOUT.parts[parts[LANDMARKS.index("left_wrist")]] == "left_forearm"
+    assert LAYOUT.parts[parts[LANDMARKS.index("pelvis")]] == "torso"
+
+
+@pytest.mark.parametrize("kind", ["mean", "rotation_mean", "map"])
+def test_point_estimates_of_a_filters_particles(kind: str) -> None:
+    flesh = make_flesh("anthropometric", 1.74, 0.06)
+    truth = marching(flesh.body, 1, FPS)[0]
+    pose = PoseConfig(n_layers=3, n_particles=80, estimate=kind)  # type: ignore[arg-type]
+    tools = make_tools(flesh.grid, FPS, 1.74, "anthropometric", pose, LikelihoodConfig(), 1)
+    problem = tools.frame(flesh.hull(truth)).voxels
+    settings = filter_settings(pose, LAYOUT, tools.noise_std)
+    start = initial_particles(problem, truth, 80)
+    particles, info = apf_step(problem, start, settings, rng=np.random.default_rng(1))
+    found = point_estimate(flesh.body, particles, info, kind)
+    if kind == "map":
+        assert problem.log_likelihood(found[None]).sum() == pytest.approx(info.best_log_likelihood)
+    elif kind == "mean":
+        np.testing.assert_array_equal(found, info.estimate)
+    else:
+        expected = mean_state(flesh.body, particles.particles, particles.weights, info.estimate)
+        np.testing.assert_array_equal(found, expected)
+        one = ParticleState(particles.particles[:1], np.ones(1))
+        np.testing.assert_allclose(
+            mean_state(flesh.body, one.particles, one.weights, one.particles[0]), one.particles[0], atol=1e-9
+        )
+    assert np.linalg.norm(landmarks_of(flesh.body, found[None]) - landmarks_of(flesh.body, truth[None])) < 1.0
