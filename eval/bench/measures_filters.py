@@ -1,0 +1,54 @@
+"""Resampling against a named library, and the evidence that poses are compared by (CPU time of one thread)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from eval.bench.measures_likelihood import body_scene
+from eval.bench.registry import interleaved_medians, measure
+from mocap.likelihood import ColourProblem
+
+_SEED = 5
+_N_WEIGHTS = 600
+_N_POINTS = 600
+
+
+@measure("resampling_over_filterpy", unit="x", better="higher")
+def resampling_over_filterpy() -> float:
+    """Systematic resampling of 600 weights against filterpy.monte_carlo.systematic_resample."""
+    from filterpy.monte_carlo import systematic_resample
+
+    from mocap.filters.resampling import systematic
+
+    rng = np.random.default_rng(_SEED)
+    weights = rng.dirichlet(np.full(_N_WEIGHTS, 0.3))
+    ours, theirs = interleaved_medians(
+        [lambda: systematic(weights, _N_WEIGHTS, rng=rng), lambda: systematic_resample(weights)], 200
+    )
+    return theirs / ours
+
+
+@lru_cache(maxsize=1)
+def _colours() -> ColourProblem:
+    """Surface points of the scene's body in two colours, learnt once."""
+    from mocap.likelihood import colour_bins_of_voxels, new_appearance
+
+    s = body_scene()
+    points = s.surface.hull.points
+    points = points[:: max(1, len(points) // _N_POINTS)]
+    rgb = np.where(points[:, 2:] > 1.0, [160, 50, 40], [50, 60, 90]).astype(np.uint8)
+    body = s.voxels.body
+    bins = colour_bins_of_voxels(rgb)
+    first = ColourProblem(body, points, bins, new_appearance(body))
+    return ColourProblem(
+        body, points, bins, first.learnt(s.truth, np.ones(body.layout.n_parts, dtype=np.bool_))
+    )
+
+
+@measure("colour_evidence_ms", unit="ms", better="lower")
+def colour_evidence_ms() -> float:
+    """Log-ratio of the colours of 600 surface voxels under one pose."""
+    colours, state = _colours(), body_scene().truth[None]
+    return interleaved_medians([lambda: colours.log_ratio(state)], 50)[0] * 1e3
