@@ -37,6 +37,7 @@ _HOMES = {
     "surface_voxels": "mocap.volume",
     "TrackerSettings": "mocap.tracking",
     "track_clip": "mocap.tracking",
+    "tracker_input": "mocap.pipeline.tracking",
     "load_body_model": "mocap.body",
     "scale_body": "mocap.body",
     "landmarks_of": "mocap.body",

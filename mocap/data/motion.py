@@ -75,12 +75,23 @@ class Tracks:
     """Positions of persons over time as one table, rows sorted by frame, then person.
 
     frame : (M,) int64.  person : (M,) int64.  time_s : (M,).  xyz : (M, 3) m, world, volume centroid.
+    covariance : (M, 3, 3) m^2, of xyz; None where unknown, as in a truth.
+    observed : (M,) bool, false where a person was out of sight and xyz is interpolated; None where unknown.
     """
 
     frame: NDArray[np.int64]
     person: NDArray[np.int64]
     time_s: Array
     xyz: Array
+    covariance: Array | None = None
+    observed: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.frame)
+        for name, shape in (("covariance", (n, 3, 3)), ("observed", (n,))):
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise ValueError(f"{name} has shape {np.shape(value)}, expected {shape}")
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -92,4 +103,33 @@ class Tracks:
     def of(self, person: int) -> Tracks:
         """The rows of one person."""
         rows = self.person == person
-        return Tracks(self.frame[rows], self.person[rows], self.time_s[rows], self.xyz[rows])
+        return Tracks(
+            self.frame[rows],
+            self.person[rows],
+            self.time_s[rows],
+            self.xyz[rows],
+            None if self.covariance is None else self.covariance[rows],
+            None if self.observed is None else self.observed[rows],
+        )
+
+    def paths(self, person: int) -> list[Tracks]:
+        """The rows of one person in pieces without missing frames: one for each time that he was there."""
+        own = self.of(person)
+        cuts = np.flatnonzero(np.diff(own.frame) > 1) + 1
+        return [
+            Tracks(
+                own.frame[rows],
+                own.person[rows],
+                own.time_s[rows],
+                own.xyz[rows],
+                None if own.covariance is None else own.covariance[rows],
+                None if own.observed is None else own.observed[rows],
+            )
+            for rows in np.split(np.arange(len(own)), cuts)
+            if len(rows)
+        ]
+
+    @property
+    def std(self) -> Array | None:
+        """(M, 3) m, standard deviation of xyz along the world axes; None where unknown."""
+        return None if self.covariance is None else np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))

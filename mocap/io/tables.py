@@ -16,39 +16,69 @@ from mocap.errors import MocapError
 from mocap.io._files import atomic_text
 
 TRACK_COLUMNS = ("frame", "time_s", "person", "x_m", "y_m", "z_m")
+TRACK_STATUS_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "status")
 LANDMARK_COLUMNS = ("frame", "time_s", "person", "landmark", "x_m", "y_m", "z_m")
 UNCERTAINTY_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "observed")
 DETECTION_COLUMNS = ("frame", "u_px", "v_px")
 LABEL_COLUMNS = ("frame", "camera", "u_px", "v_px")
 
 _LANDMARK_INDEX = {name: i for i, name in enumerate(LANDMARKS)}
+_STATUS = {"confirmed": True, "coasting": False}
 _OBSERVED = {"1": True, "0": False, "true": True, "false": False}
 
 
 def write_tracks_csv(path: Path | str, tracks: Tracks) -> None:
-    """Write tracks as `frame,time_s,person,x_m,y_m,z_m`, rows as given, six decimals, atomically."""
-    lines = [",".join(TRACK_COLUMNS)]
-    for frame, time, person, xyz in zip(tracks.frame, tracks.time_s, tracks.person, tracks.xyz, strict=True):
-        lines.append(",".join([str(int(frame)), _text(time), str(int(person)), *(_text(x) for x in xyz)]))
+    """Write tracks as `frame,time_s,person,x_m,y_m,z_m`, rows as given, six decimals, atomically.
+
+    Tracks that know their covariance and whether they were observed (not a truth) get std_x_m, std_y_m, std_z_m and
+    status: `confirmed`, or `coasting` where the person was out of sight.
+    """
+    std, observed = tracks.std, tracks.observed
+    has_more = std is not None or observed is not None
+    lines = [",".join(TRACK_COLUMNS + (TRACK_STATUS_COLUMNS if has_more else ()))]
+    for i in range(len(tracks)):
+        fields = [str(int(tracks.frame[i])), _text(tracks.time_s[i]), str(int(tracks.person[i]))]
+        fields += [_text(x) for x in tracks.xyz[i]]
+        if has_more:
+            fields += [_text(x) for x in (np.full(3, np.nan) if std is None else std[i])]
+            fields.append("" if observed is None else "confirmed" if observed[i] else "coasting")
+        lines.append(",".join(fields))
     atomic_text(Path(path), "\n".join(lines) + "\n")
 
 
 def read_tracks_csv(path: Path | str) -> Tracks:
     """Read tracks, sorted by frame, then person; a table with a header only gives empty tracks.
 
-    Raises MocapError with the line for a missing column, a number that is none, or a doubled row.
+    Of the covariance the table holds the diagonal; it and `observed` are None where the table does not have them.
+    Raises MocapError with the line for a missing column, a number that is none, an unknown status, or a doubled row.
     """
     path = Path(path)
     rows: dict[tuple[int, int], tuple[float, ...]] = {}
+    status: dict[tuple[int, int], bool] = {}
     for line, row in _rows(path, TRACK_COLUMNS):
         key = (_whole(path, line, row, "frame"), _whole(path, line, row, "person"))
         if key in rows:
             raise _bad(path, line, f"frame {key[0]} of person {key[1]} is there twice")
-        rows[key] = tuple(_number(path, line, row, c) for c in ("time_s", "x_m", "y_m", "z_m"))
+        rows[key] = (
+            *(_number(path, line, row, c) for c in ("time_s", "x_m", "y_m", "z_m")),
+            *(_number(path, line, row, c, may_miss=True) for c in TRACK_STATUS_COLUMNS[:3]),
+        )
+        if word := row.get("status", "").strip().lower():
+            if word not in _STATUS:
+                raise _bad(path, line, f"status is {word!r}, expected {' or '.join(_STATUS)}")
+            status[key] = _STATUS[word]
     keys = sorted(rows)
-    values = np.array([rows[k] for k in keys], dtype=np.float64).reshape(-1, 4)
+    values = np.array([rows[k] for k in keys], dtype=np.float64).reshape(-1, 7)
     index = np.array(keys, dtype=np.int64).reshape(-1, 2)
-    return Tracks(index[:, 0].copy(), index[:, 1].copy(), values[:, 0].copy(), values[:, 1:].copy())
+    has_std = bool(len(keys)) and bool(np.isfinite(values[:, 4:]).all())
+    return Tracks(
+        index[:, 0].copy(),
+        index[:, 1].copy(),
+        values[:, 0].copy(),
+        values[:, 1:4].copy(),
+        values[:, 4:, None] ** 2 * np.eye(3) if has_std else None,
+        np.array([status[k] for k in keys], dtype=np.bool_) if keys and len(status) == len(keys) else None,
+    )
 
 
 def write_landmarks_csv(path: Path | str, motions: Sequence[Motion]) -> None:

@@ -16,6 +16,7 @@ from mocap.io._files import writing
 from mocap.io.export import voxels
 from mocap.io.store import StageStore
 from mocap.pipeline.stages import hull_from_arrays, stored_grid, stored_poses
+from mocap.pipeline.tracking import every_frame
 
 Progress = Callable[[str, int, int], None]
 Frames = tuple[int | None, int | None]
@@ -101,7 +102,8 @@ def _export_motion(
             continue
         path = folder / f"person_{poses.person}.{format}"
         if format in ("bvh", "glb"):
-            skeleton = skeleton_of(poses.body, poses.states[keep], poses.person)
+            states = every_frame(poses.frames[keep], poses.states[keep])
+            skeleton = skeleton_of(poses.body, states, poses.person)
             (export.write_bvh if format == "bvh" else export.write_glb)(path, skeleton, fps)
         else:
             motion = motion_of(poses, fps)

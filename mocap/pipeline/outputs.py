@@ -27,6 +27,7 @@ from mocap.metrics import point_errors
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose import PersonPoses
 from mocap.pipeline.stages import detections_at, hull_from_arrays, masks_from_arrays, stored_grid
+from mocap.pipeline.tracking import every_frame
 from mocap.view import BodyPart, Figure, FramePanel
 from mocap.volume import choose_grid, silhouette_residuals
 
@@ -45,9 +46,10 @@ _UNPUBLISHED = ".outputs.partial"
 
 OUTPUT_WORDS = {
     "run.json": "configuration, versions, seed, timings and warnings of this run",
-    "tracks.csv": "where every person is in every frame, metres",
+    "tracks.csv": "where every person is in every frame, how certain that is, and whether he was seen",
     "landmarks.csv": "15 landmarks per person and frame, with standard deviations, metres",
     "pose.npz": "joint angles, root, landmark covariances",
+    "body.toml": "the person's body as sized, for `body.model` of another run (body_1.toml and so on of several)",
     "scene.rrd": "cameras, images, voxels and bodies on a time line, for the Rerun viewer",
     "store.zarr": "masks and volumes of every frame; lets a run be resumed",
     ".bvh": "animated skeleton for animation tools (y up, centimetres)",
@@ -96,7 +98,7 @@ def write_outputs(
     steps: list[tuple[str, Callable[[], None]]] = []
     for poses, motion in zip(result.poses, result.motions, strict=True):
         stem = folder / f"person_{poses.person}"
-        skeleton = skeleton_of(poses.body, poses.states, poses.person)
+        skeleton = skeleton_of(poses.body, every_frame(poses.frames, poses.states), poses.person)
         if "bvh" in formats:
             steps.append(("bvh", partial(export.write_bvh, stem.with_suffix(".bvh"), skeleton, fps)))
         if "glb" in formats:
@@ -262,6 +264,7 @@ def write_run_report(
         ("Frames", f"{session.frames.start} to {session.frames.stop - 1} at {session.fps:g} frames/s"),
         ("Body height", height or "no person"),
         *_observation_words(result),
+        *_motion_words(result),
         ("Pose filter", _filter_words(config, is_markers="detect" in result.numbers)),
         ("Seed", str(seed)),
     ]
@@ -291,6 +294,21 @@ def write_run_report(
         silhouettes=_silhouette_numbers(result, store),
     )
     write_report(folder / "report.html", data)
+
+
+def _motion_words(result: RunResult) -> list[tuple[str, str]]:
+    """What the poses say of themselves: how much of them was observed, and how calm they are."""
+    persons = result.numbers.get("pose", {}).get("persons", {})
+    observed = {p: n["observed_percent"] for p, n in persons.items() if n.get("observed_percent") is not None}
+    jitter = {p: n["jitter_m_s3"] for p, n in persons.items() if n.get("jitter_m_s3") is not None}
+    rows = []
+    if observed:
+        rows.append(("Landmarks observed", ", ".join(f"person {p}: {v:.1f} %" for p, v in observed.items())))
+    if jitter:
+        rows.append(
+            ("Jitter of landmarks", ", ".join(f"person {p}: {v:.0f} m/s^3" for p, v in jitter.items()))
+        )
+    return rows
 
 
 def _silhouette_numbers(result: RunResult, store: StageStore) -> dict[str, dict[str, float | None]]:

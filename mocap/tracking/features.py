@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import tomllib
+from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from mocap.tracking import _kernels
 
 Array = NDArray[np.float64]
 
@@ -32,6 +37,9 @@ class BlobFeatures:
     def bottom_m(self) -> float:
         """Lowest point over the floor."""
         return self.top_m - self.height_m
+
+
+FEATURES = (*(f.name for f in fields(BlobFeatures)), "bottom_m")
 
 
 @dataclass(frozen=True)
@@ -88,6 +96,61 @@ PERSON_TREE = Split(
 )
 
 
+TREES = ("wide", "trained")
+_TRAINED = Path(__file__).with_name("person_tree.toml")
+
+
+def person_tree(name: str) -> Split | bool:
+    """A tree by name: `wide`, PERSON_TREE, or `trained`, which comes with the package as a data file.
+
+    Raises ValueError for another name, or where the file is missing.
+    """
+    if name == "wide":
+        return PERSON_TREE
+    if name != "trained":
+        raise ValueError(f"tree must be one of {', '.join(TREES)}, got {name!r}")
+    if not _TRAINED.exists():
+        raise ValueError(f"there is no trained tree: {_TRAINED.name} is missing; use wide")
+    return read_person_tree(_TRAINED)
+
+
+def read_person_tree(path: Path) -> Split | bool:
+    """The tree of a TOML file: a list of `node` tables, the root first.
+
+    feature, threshold : of `Split`.  below, above : true, false, or the number of a later node.
+    Raises ValueError for a feature that there is not, a number that is none, or a node that leads back.
+    """
+    nodes = tomllib.loads(path.read_text("utf-8")).get("node", [])
+
+    def end(value: object, parent: int) -> Split | bool:
+        if isinstance(value, bool):
+            return value
+        if not isinstance(value, int) or not parent < value < len(nodes):
+            raise ValueError(
+                f"{path.name}: node {parent} leads to {value!r}, expected true, false or a later node"
+            )
+        return split(value)
+
+    def split(i: int) -> Split:
+        node = nodes[i]
+        if node.get("feature") not in FEATURES:
+            raise ValueError(
+                f"{path.name}: node {i}: feature is {node.get('feature')!r}, known are {', '.join(FEATURES)}"
+            )
+        threshold = node.get("threshold")
+        if (
+            isinstance(threshold, bool)
+            or not isinstance(threshold, int | float)
+            or not math.isfinite(threshold)
+        ):
+            raise ValueError(f"{path.name}: node {i}: threshold is {threshold!r}, expected a number")
+        return Split(node["feature"], float(threshold), end(node.get("below"), i), end(node.get("above"), i))
+
+    if not nodes:
+        raise ValueError(f"{path.name}: there is no node")
+    return split(0)
+
+
 def blob_features(centers: Array, voxel_size_m: float) -> BlobFeatures:
     """Features of one blob.
 
@@ -136,7 +199,7 @@ class Components:
     lower: Array
     upper: Array
     weight_kg: Array
-    component_of: NDArray[np.int64]
+    component_of: NDArray[np.int32]
     voxel_size_m: float
 
     def __len__(self) -> int:
@@ -159,31 +222,50 @@ def components_of(centers: Array, labels: NDArray[np.integer], voxel_size_m: flo
     centers : (N, 3) m.  labels : (N,) int, any numbering, negative = ignore. N = 0 gives an empty table.
     Source: CF Eq. 4.1, Table 4.1.
     """
-    labels = np.asarray(labels)
-    order = np.argsort(labels, kind="stable").astype(np.int64)
-    sorted_labels = labels[order]
-    n_ignored = int(np.searchsorted(sorted_labels, 0))
-    order, sorted_labels = order[n_ignored:], sorted_labels[n_ignored:]
-    component_of = np.full(len(labels), -1, dtype=np.int64)
-    if len(order) == 0:
-        none = np.zeros((0, 3))
-        start = np.zeros(1, dtype=np.int64)
-        return Components(order, start, none, none, none, np.zeros(0), component_of, voxel_size_m)
-    first = np.flatnonzero(np.r_[True, sorted_labels[1:] != sorted_labels[:-1]])
-    start = np.r_[first, len(order)].astype(np.int64)
-    count = np.diff(start)
-    component_of[order] = np.repeat(np.arange(len(count)), count)
-    columns = [centers[order, i] for i in range(3)]
+    points = np.ascontiguousarray(centers, dtype=np.float64)
+    plain = np.ascontiguousarray(labels)
+    highest = int(plain.max()) if len(plain) else -1
+    if highest > 10 * len(plain) + 1000:
+        # Numbers far above the number of voxels: a table by label would not fit into memory.
+        _, inverse = np.unique(plain, return_inverse=True)
+        plain = np.where(plain < 0, -1, inverse.reshape(-1))
+        highest = int(plain.max())
+    size_of = np.zeros(highest + 1 if highest >= 0 else 0, dtype=np.int64)
+    _kernels.count_labels(plain, size_of)
+    used = size_of > 0
+    rank = np.cumsum(used) - 1
+    count = size_of[used]
+    start = np.r_[0, np.cumsum(count)].astype(np.int64)
+    order = np.empty(start[-1], dtype=np.int64)
+    component_of = np.empty(len(plain), dtype=np.int32)
+    _kernels.group_by_label(plain, rank, start, order, component_of)
+    mean, lower, upper = (np.empty((len(count), 3)) for _ in range(3))
+    _kernels.measure_groups(points, order, start, mean, lower, upper)
     return Components(
         order=order,
         start=start,
-        centroid=np.stack([np.add.reduceat(c, first) for c in columns], axis=1) / count[:, None],
-        lower=np.stack([np.minimum.reduceat(c, first) for c in columns], axis=1),
-        upper=np.stack([np.maximum.reduceat(c, first) for c in columns], axis=1),
-        weight_kg=weight_kg(1, voxel_size_m) * count,
+        centroid=mean,
+        lower=lower,
+        upper=upper,
+        weight_kg=weight_kg(1, voxel_size_m) * count.astype(np.float64),
         component_of=component_of,
         voxel_size_m=voxel_size_m,
     )
+
+
+def measure_voxels(
+    centers: Array, voxels: NDArray[np.int64], voxel_size_m: float
+) -> tuple[BlobFeatures, Array]:
+    """Features and centroid (3,) m of some voxels, by row of centers (N, 3); none give weight 0 and NaN.
+
+    Source: CF Eq. 4.5, Table 4.1.
+    """
+    if not len(voxels):
+        return BlobFeatures(0.0, np.nan, np.nan, np.nan, np.nan, np.nan), np.full(3, np.nan)
+    mean, lower, upper = (np.empty((1, 3)) for _ in range(3))
+    start = np.array([0, len(voxels)], dtype=np.int64)
+    _kernels.measure_groups(centers, voxels, start, mean, lower, upper)
+    return _features(len(voxels), float(mean[0, 2]), lower[0], upper[0], voxel_size_m), mean[0]
 
 
 def weight_kg(n_voxels: int, voxel_size_m: float) -> float:

@@ -131,6 +131,7 @@ def plot_track_map(
     """The room from above: cameras with their viewing direction, paths of the persons, truth dashed.
 
     tracks, truth : world frame; None or empty draws no path.  bounds_m : lower and upper corner of the room.
+    White dots on a path: the person was out of sight there.
     """
     figure, (ax,) = _figure(1, height=5.2, width=7.2)
     centers = np.array([camera.center for camera in rig])
@@ -152,20 +153,28 @@ def plot_track_map(
         if table is None or len(table) == 0:
             continue
         for person in table.persons:
-            path = table.of(person).xyz[:, :2]
             colour = _hex(person_colour(person)) if kind == "person" else _INK
             width = 2.2 if kind == "person" else 1.0
-            ax.plot(path[:, 0], path[:, 1], style, color=colour, lw=width, label=f"{kind} {person}")
-            if kind == "person":
-                ax.plot(*path[0], "o", color=colour, mec=_INK, ms=7)
-                ax.plot(*path[-1], "D", color=colour, mec=_INK, ms=6)
-            corners.append(path[np.isfinite(path).all(axis=1)])
+            label: str | None = f"{kind} {person}"
+            for piece in table.paths(person):
+                path = piece.xyz[:, :2]
+                ax.plot(path[:, 0], path[:, 1], style, color=colour, lw=width, label=label)
+                label = None  # one entry in the legend, also of who comes back
+                if kind == "person":
+                    ax.plot(*path[0], "o", color=colour, mec=_INK, ms=7)
+                    ax.plot(*path[-1], "D", color=colour, mec=_INK, ms=6)
+                    if piece.observed is not None and not piece.observed.all():
+                        hidden = np.where(piece.observed[:, None], np.nan, path)
+                        ax.plot(hidden[:, 0], hidden[:, 1], ".", color="white", ms=3, zorder=5)
+                corners.append(path[np.isfinite(path).all(axis=1)])
     everything = np.vstack(corners)
     lower, upper = everything.min(axis=0) - 0.7, everything.max(axis=0) + 0.7
     ax.set_xlim(lower[0], upper[0])
     ax.set_ylim(lower[1], upper[1])
     ax.set_aspect("equal")
-    title = "Seen from above; circle = start, diamond = end" if tracks is not None and len(tracks) else ""
+    title = ""
+    if tracks is not None and len(tracks):
+        title = "Seen from above; circle = start, diamond = end, white dots = out of sight"
     _finish(ax, title, "x (m)", "y (m)", grid="both", legend=True)
     return _png(figure)
 

@@ -239,10 +239,11 @@ def _log_static(
         stream.log("world/floor", _floor(rr, lower, upper), static=True)
     if tracks is not None and len(tracks):
         for person in tracks.persons:
-            path = tracks.of(person).xyz
-            path = path[np.isfinite(path).all(axis=1)]
-            if len(path) > 1:
-                line = rr.LineStrips3D([path], colors=[person_colour(person)], radii=[0.008])
+            pieces = [piece.xyz for piece in tracks.paths(person)]
+            pieces = [path[np.isfinite(path).all(axis=1)] for path in pieces]
+            pieces = [path for path in pieces if len(path) > 1]
+            if pieces:
+                line = rr.LineStrips3D(pieces, colors=[person_colour(person)] * len(pieces), radii=[0.008])
                 stream.log(f"world/tracks/person_{person}", line, static=True)
 
 

@@ -2,6 +2,7 @@
 
 from mocap.volume.camera_faults import CameraFault, find_camera_faults, usable_cameras
 from mocap.volume.carve import Carver, VoteVolume, carve_bruteforce, default_min_views, votes_bruteforce
+from mocap.volume.coarsen import CoarseVoxels, coarsen
 from mocap.volume.colour import colour_hull, visible_views
 from mocap.volume.components import connected_components
 from mocap.volume.consistency import ConsistencyMonitor, SilhouetteEvidence
@@ -12,12 +13,14 @@ from mocap.volume.surface import surface_map, surface_voxels
 __all__ = [
     "CameraFault",
     "Carver",
+    "CoarseVoxels",
     "ConsistencyMonitor",
     "SilhouetteEvidence",
     "SilhouetteResiduals",
     "VoteVolume",
     "carve_bruteforce",
     "choose_grid",
+    "coarsen",
     "colour_hull",
     "connected_components",
     "default_min_views",

@@ -263,6 +263,24 @@ def union_runs(voxels, ny, nz, slack_side, slack_corner, label_of_run, run_of_vo
 
 
 @njit(cache=True, nogil=True)
+def count_runs(label_of_run, run_of_voxel, sizes):
+    """Add the voxels of each run to sizes (n_runs,) at the run's label."""
+    n = 0
+    for i in range(run_of_voxel.shape[0]):
+        n += 1
+        if i + 1 == run_of_voxel.shape[0] or run_of_voxel[i + 1] != run_of_voxel[i]:
+            sizes[label_of_run[run_of_voxel[i]]] += n
+            n = 0
+
+
+@njit(cache=True, nogil=True)
+def name_runs(rank, label_of_run, run_of_voxel):
+    """Replace the run of each voxel (N,) by the rank of its label."""
+    for i in range(run_of_voxel.shape[0]):
+        run_of_voxel[i] = rank[label_of_run[run_of_voxel[i]]]
+
+
+@njit(cache=True, nogil=True)
 def paint_boxes(uv, half, canvas):
     """Set canvas to 1 in squares of half-width half (n,) px about pixels uv (n, 2); NaN is skipped."""
     height, width = canvas.shape

@@ -31,10 +31,11 @@ def connected_components(
     run = np.empty(len(v), dtype=np.int32)
     side, corner = _SLACK[connectivity]
     n_runs = _kernels.union_runs(v, grid.shape[1], grid.shape[2], side, corner, root, run)
-    of_voxel = root[:n_runs][run]
-    sizes = np.bincount(of_voxel, minlength=n_runs)
+    sizes = np.zeros(n_runs, dtype=np.int64)
+    _kernels.count_runs(root, run, sizes)
     roots = np.flatnonzero(sizes)
     order = np.argsort(-sizes[roots], kind="stable")
     rank = np.empty(n_runs, dtype=np.int32)
     rank[roots[order]] = np.arange(len(roots), dtype=np.int32)
-    return rank[of_voxel], len(roots)
+    _kernels.name_runs(rank, root, run)
+    return run, len(roots)

@@ -86,6 +86,41 @@ def test_empty_tables(tmp_path: Path) -> None:
     assert read_landmarks_csv(tmp_path / "l.csv") == []
 
 
+def test_tracks_with_covariance_and_status_round_trip(tmp_path: Path) -> None:
+    variance = np.array([[0.04, 0.01, 0.0225], [0.0009, 0.0016, 0.0025]])
+    tracks = Tracks(
+        np.array([3, 4]),
+        np.array([2, 2]),
+        np.array([0.3, 0.4]),
+        np.array([[1.0, 2.0, 0.9], [1.1, 2.0, 0.9]]),
+        variance[:, :, None] * np.eye(3),
+        np.array([True, False]),
+    )
+    write_tracks_csv(tmp_path / "t.csv", tracks)
+    lines = (tmp_path / "t.csv").read_text().splitlines()
+    assert lines[0] == "frame,time_s,person,x_m,y_m,z_m,std_x_m,std_y_m,std_z_m,status"
+    assert lines[1].endswith(",0.200000,0.100000,0.150000,confirmed")
+    assert lines[2].endswith(",coasting")
+    read = read_tracks_csv(tmp_path / "t.csv")
+    assert read.covariance is not None
+    np.testing.assert_allclose(read.covariance, tracks.covariance, atol=1e-9)
+    np.testing.assert_array_equal(read.observed, tracks.observed)
+    np.testing.assert_array_equal(read.of(2).observed, tracks.observed)
+
+
+def test_tracks_of_a_truth_know_neither(tmp_path: Path) -> None:
+    write_tracks_csv(tmp_path / "t.csv", Tracks(np.array([0]), np.array([1]), np.zeros(1), np.zeros((1, 3))))
+    assert (tmp_path / "t.csv").read_text().splitlines()[0] == "frame,time_s,person,x_m,y_m,z_m"
+    read = read_tracks_csv(tmp_path / "t.csv")
+    assert (read.covariance, read.observed) == (None, None)
+
+
+def test_unknown_status_is_named(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("frame,time_s,person,x_m,y_m,z_m,status\n0,0,1,0,0,0,asleep\n")
+    with pytest.raises(MocapError, match="status is 'asleep'"):
+        read_tracks_csv(tmp_path / "t.csv")
+
+
 def test_column_order_is_free_and_more_columns_do_no_harm(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("\ufeffperson,frame, x_m,y_m,z_m,time_s,note\r\n2,5,1,2,3,0.5,hello\r\n")
     read = read_tracks_csv(tmp_path / "t.csv")

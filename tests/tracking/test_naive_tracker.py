@@ -9,12 +9,30 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import label
 
-from mocap.tracking import TrackerSettings, TrackerState, track_clip, track_step
-from mocap.tracking.naive import COASTING, CONFIRMED, TENTATIVE, tracks_from_history
+from mocap.tracking import (
+    FrameVoxels,
+    TrackerSettings,
+    TrackerState,
+    published_settings,
+    tracks_from_history,
+)
+from mocap.tracking import track_clip as track_frames
+from mocap.tracking import track_step as step_of
+from mocap.tracking.state import COASTING, CONFIRMED, TENTATIVE
 
 SIDE = 0.05
 FPS = 25.0
 SETTINGS = TrackerSettings(SIDE, lost_frames=4, confirm_frames=3, tentative_misses=1)
+
+
+def track_step(state, centers, labels, frame, settings):
+    observation = FrameVoxels(frame, centers, labels)
+    return step_of(state, observation, settings, rng=np.random.default_rng(0))
+
+
+def track_clip(frames, settings, fps):
+    observations = (FrameVoxels(*frame) for frame in frames)
+    return track_frames(observations, settings, fps, rng=np.random.default_rng(0))
 
 
 def box(x, y, half_x, half_y, z0, z1):
@@ -185,6 +203,25 @@ def test_neighbour_takes_no_voxels_from_a_separate_person_with_arms_out():
     for voxels in infos[-1].voxels_of.values():
         assert len(np.unique(labels[voxels])) == 1
     assert sum(len(v) for v in infos[-1].voxels_of.values()) == len(centers)
+
+
+def test_published_ellipsoids_drop_what_two_of_them_hold():
+    """CF Eq. 4.4 and 4.7 as printed: arms are cut off, and the voxels between two persons are nobody's."""
+    s = published_settings("naive", SIDE, confirm_frames=3, colour=False)
+    _, infos = run([person(0, 0) + arms(0, 0)] * 3, s)
+    centers, _ = scene(*person(0, 0), *arms(0, 0))
+    held = centers[infos[-1].voxels_of[1]]
+    assert np.abs(held[:, 1]).max() <= 0.45
+    assert infos[-1].n_unassigned > 0
+    clip = [person(-x, 0) + person(x, 0) for x in (0.7, 0.6, 0.5, 0.4, 0.3, 0.25)]
+    _, infos = run(clip, s)
+    x, y, z = scene(*clip[-1])[0].T
+    middle = (np.abs(y) < 0.1) & (np.abs(z - 0.85) < 0.2)
+    for voxels in infos[-1].voxels_of.values():
+        # Half-way up each ellipsoid reaches 0.2 m, into the neighbour, who starts at 0.1 m: that is nobody's.
+        mine = voxels[middle[voxels]]
+        assert np.abs(x[mine]).min() > 0.15
+    assert infos[-1].n_unassigned > 0
 
 
 def test_lost_track_beside_another_person_does_not_cut_it():

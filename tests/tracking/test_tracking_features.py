@@ -5,7 +5,15 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from mocap.tracking import PERSON_TREE, BlobFeatures, Split, blob_features, is_person
+from mocap.tracking import (
+    PERSON_TREE,
+    BlobFeatures,
+    Split,
+    blob_features,
+    is_person,
+    person_tree,
+    read_person_tree,
+)
 
 
 def box(lower, upper, side):
@@ -94,3 +102,61 @@ def test_tree_is_data_over_named_features():
     light_is_person = Split("weight_kg", 10.0, True, False)
     assert is_person(features(weight=9.9), light_is_person)
     assert not is_person(features(weight=10.0), light_is_person)
+
+
+FILE = """
+[[node]]
+feature = "weight_kg"
+threshold = 12
+below = false
+above = 2
+
+[[node]]
+feature = "bottom_m"
+threshold = 0.4
+below = true
+above = false
+
+[[node]]
+feature = "top_m"
+threshold = 0.8
+below = false
+above = 1
+"""
+
+
+def test_tree_is_read_from_a_file(tmp_path):
+    path = tmp_path / "tree.toml"
+    path.write_text(FILE.replace("above = 1\n", "above = true\n"))
+    assert read_person_tree(path) == Split("weight_kg", 12.0, False, Split("top_m", 0.8, False, True))
+    assert person_tree("wide") is PERSON_TREE
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("above = 1\n", "above = 0\n", "node 2 leads to 0"),
+        ("above = 1\n", "above = 7\n", "node 2 leads to 7"),
+        ("above = 1\n", "above = 'yes'\n", "node 2 leads to 'yes'"),
+        ('"top_m"', '"hat_m"', "feature is 'hat_m'"),
+        ("threshold = 0.8", "threshold = 'high'", "threshold is 'high'"),
+        ("threshold = 0.8", "threshold = nan", "threshold is nan"),
+    ],
+)
+def test_bad_tree_files_are_named(tmp_path, old, new, message):
+    path = tmp_path / "tree.toml"
+    path.write_text(FILE.replace(old, new))
+    with pytest.raises(ValueError, match=message):
+        read_person_tree(path)
+    path.write_text("")
+    with pytest.raises(ValueError, match="no node"):
+        read_person_tree(path)
+    with pytest.raises(ValueError, match="wide, trained"):
+        person_tree("narrow")
+
+
+def test_trained_tree_comes_with_the_package():
+    tree = person_tree("trained")
+    assert isinstance(tree, Split)
+    assert is_person(features(), tree)
+    assert not is_person(OTHERS["speck"], tree)

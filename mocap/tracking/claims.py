@@ -1,0 +1,379 @@
+"""Which voxels belong to which track: components, ellipsoids of influence, and blobs of several persons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.tracking import _kernels
+from mocap.tracking.colour import N_BINS, banded_histogram, bhattacharyya, colour_bins
+from mocap.tracking.features import (
+    BlobFeatures,
+    Components,
+    components_of,
+    is_person,
+    measure_voxels,
+    weight_kg,
+)
+from mocap.tracking.state import COASTING, RANK, TENTATIVE, Track, TrackerSettings
+from mocap.tracking.voxels import FrameVoxels
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Histogram = NDArray[np.floating]
+
+MIN_HEIGHT_M = 0.3  # an ellipsoid stands on the floor; below 30 cm of centroid height it would hold nobody
+MIN_COLOURED = 30  # voxels, for a histogram that means something
+_RIVAL_SHARE = 0.3  # of the best component's votes, from which on another one may be the person as well
+_SHRUNK_M = 0.35  # a component so much lower than the person was is what he has left behind ...
+_ASIDE_M = 0.3  # ... when he himself stands beside it; above it is the rest of a body in two pieces
+_UNLIKE = 0.4  # Bhattacharyya coefficient under which a blob is somebody else
+_COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
+_PULL_M = 0.4  # how far colours may move the place of a person in a blob of several
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame as the trackers work on it: voxels, components, the classifier's verdicts, colour bins."""
+
+    voxels: FrameVoxels
+    parts: Components
+    verdicts: NDArray[np.bool_]
+    bins: NDArray[np.int32] | None
+    settings: TrackerSettings
+
+    @cached_property
+    def anchor(self) -> Array:
+        """Lower corner (3,) m of the first voxel: a point of the lattice; N > 0."""
+        return np.asarray(self.voxels.centers[0] - self.settings.voxel_size_m / 2)
+
+    @cached_property
+    def side_kg(self) -> float:
+        """Weight of one voxel."""
+        return weight_kg(1, self.settings.voxel_size_m)
+
+    def appearance(self, voxels: Indices) -> Histogram | None:
+        """Histogram by height band of some voxels; None with too few coloured ones."""
+        if self.bins is None:
+            return None
+        histogram, n = banded_histogram(self.bins, self.voxels.centers, voxels)
+        return histogram if n >= MIN_COLOURED else None
+
+
+def frame_of(voxels: FrameVoxels, settings: TrackerSettings) -> Frame:
+    """Components, verdicts and colours of one frame."""
+    parts = components_of(voxels.centers, voxels.labels, settings.voxel_size_m)
+    verdicts = np.zeros(len(parts), dtype=bool)
+    for k in np.flatnonzero(parts.weight_kg >= settings.min_support_kg):
+        verdicts[k] = is_person(parts.features(int(k)), settings.person_tree)
+    bins = None
+    if settings.colour and voxels.has_colour.any():
+        bins = colour_bins(voxels.rgb, voxels.has_colour)
+    return Frame(voxels, parts, verdicts, bins, settings)
+
+
+@dataclass(frozen=True, eq=False)
+class Claim:
+    """Voxels (ascending) that one track holds in this frame, and whether they are a person.
+
+    is_shared : they are a share of a blob of several persons.  is_new : the track has just got them, from afar.
+    """
+
+    voxels: Indices
+    features: BlobFeatures
+    centroid: Array
+    is_person: bool
+    is_shared: bool = False
+    is_new: bool = False
+
+    @property
+    def weight_kg(self) -> float:
+        return self.features.weight_kg
+
+
+def claim_of(frame: Frame, voxels: Indices, *, verdict: bool | None = None) -> Claim:
+    """A claim on some voxels; verdict : None = ask the classifier."""
+    features, centroid = measure_voxels(frame.voxels.centers, voxels, frame.settings.voxel_size_m)
+    if verdict is None:
+        verdict = is_person(features, frame.settings.person_tree)
+    return Claim(voxels, features, centroid, verdict)
+
+
+def part_claim(frame: Frame, k: int, *, is_new: bool = False) -> Claim:
+    """A claim on a whole component."""
+    parts = frame.parts
+    return Claim(
+        parts.voxels(k), parts.features(k), parts.centroid[k], bool(frame.verdicts[k]), is_new=is_new
+    )
+
+
+def ellipsoid_axes(xyz: Array, settings: TrackerSettings) -> Array:
+    """Semi-axes (T, 3) m of the ellipsoids of influence about xyz (T, 3). CF 4.3.1."""
+    axes = np.empty((len(xyz), 3))
+    axes[:, :2] = settings.alpha * settings.semi_axis_xy_m
+    axes[:, 2] = settings.beta * np.maximum(xyz[:, 2], MIN_HEIGHT_M)
+    return axes
+
+
+def ellipsoid_distance(points: Array, xyz: Array, settings: TrackerSettings) -> Array:
+    """Squared distance of points (N, 3) from tracks (T, 3) in ellipsoid radii, (T, N); <= 1 is inside. CF Eq. 4.2."""
+    out = np.empty((len(xyz), len(points)))
+    _kernels.ellipsoid_distances(points, xyz, ellipsoid_axes(xyz, settings), out)
+    return out
+
+
+def claim_voxels(frame: Frame, tracks: tuple[Track, ...], xyz: Array) -> tuple[dict[int, Claim], list[int]]:
+    """Who holds which voxels.
+
+    tracks : live tracks.  xyz : (T, 3) m, where the tracker believes them to be now.
+    Returns slot -> claim, and the newborn slots, which are those from T on.
+    Source: CF 4.2.3, Eq. 4.2-4.4, 4.7. Departs from CF Eq. 4.4: the ellipsoid decides which component belongs to which
+    track, but a component that holds one track belongs to it whole, so that outstretched arms are kept; the ellipsoid
+    cuts only where the whole is no person (fused with furniture). A component that holds several tracks is divided by
+    the nearest ellipsoid instead of dropping the overlap of Eq. 4.7, which would tear a hole into both bodies.
+    With whole_components = false both are as printed.
+    """
+    if frame.settings.whole_components:
+        claims, is_taken = _claim_components(frame, tracks, xyz)
+        _reacquire(frame, tracks, xyz, claims, is_taken)
+    else:
+        claims, is_taken = _claim_ellipsoids(frame, xyz)
+    newborn = _create(frame, claims, is_taken)
+    slots = list(range(len(tracks), len(tracks) + len(newborn)))
+    claims.update({slot: part_claim(frame, k) for slot, k in zip(slots, newborn, strict=True)})
+    if frame.settings.whole_components:
+        _add_fragments(frame, claims, is_taken)
+    return claims, slots
+
+
+def _votes(frame: Frame, xyz: Array) -> tuple[Indices, Indices]:
+    shape = (len(xyz), len(frame.parts))
+    exclusive, every = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
+    if len(xyz):
+        axes = ellipsoid_axes(xyz, frame.settings)
+        of = frame.parts.component_of
+        _kernels.count_votes(frame.voxels.centers, of, xyz, axes, exclusive, every)
+    return exclusive, every
+
+
+def _claim_ellipsoids(frame: Frame, xyz: Array) -> tuple[dict[int, Claim], NDArray[np.bool_]]:
+    """The voxels in each ellipsoid, without those in two: CF Eq. 4.4, 4.7 as printed."""
+    distance = ellipsoid_distance(frame.voxels.centers, xyz, frame.settings)
+    inside = (distance <= 1.0) & (frame.parts.component_of >= 0)
+    n_holders = inside.sum(axis=0)
+    claims = {}
+    for t, mine in enumerate(inside):
+        own = np.flatnonzero(mine & (n_holders == 1))
+        claims[t] = replace(claim_of(frame, own), is_shared=bool((n_holders[mine] > 1).any()))
+    is_taken = np.zeros(len(frame.parts), dtype=bool)
+    is_taken[np.unique(frame.parts.component_of[n_holders > 0])] = True
+    return claims, is_taken
+
+
+def _claim_components(
+    frame: Frame, tracks: tuple[Track, ...], xyz: Array
+) -> tuple[dict[int, Claim], NDArray[np.bool_]]:
+    """Give every track the component that fills its ellipsoid most; divide components that hold several."""
+    parts, settings = frame.parts, frame.settings
+    members: dict[int, list[int]] = {}
+    exclusive, every = _votes(frame, xyz)
+    for t, track in enumerate(tracks):
+        for votes in (exclusive[t], every[t]):  # CF Eq. 4.7: what two tracks see decides for neither
+            if votes.any() and votes.max() * frame.side_kg >= settings.min_support_kg:
+                members.setdefault(_best_component(frame, track, votes), []).append(t)
+                break
+    is_taken = np.zeros(len(parts), dtype=bool)
+    claims: dict[int, Claim] = {}
+    for k, inside_k in members.items():
+        is_taken[k] = True
+        if len(inside_k) == 1 and frame.verdicts[k]:
+            claims[inside_k[0]] = part_claim(frame, k)
+        else:
+            claims.update(_divide(frame, parts.voxels(k), inside_k, tracks, xyz))
+    return claims, is_taken
+
+
+def _best_component(frame: Frame, track: Track, votes: Array) -> int:
+    """The component with most votes, unless it is what the person has just left: a chair, a table."""
+    best = int(np.argmax(votes))
+    top = frame.parts.upper[:, 2]
+    lowest = track.top_m - _SHRUNK_M
+    if track.status == TENTATIVE or not (top[best] < lowest):
+        return best
+    aside = np.linalg.norm(frame.parts.centroid[:, :2] - frame.parts.centroid[best, :2], axis=1) > _ASIDE_M
+    is_rival = (votes >= _RIVAL_SHARE * votes[best]) & frame.verdicts & (top >= lowest) & aside
+    rivals = np.flatnonzero(is_rival)
+    return int(rivals[np.argmax(votes[rivals])]) if len(rivals) else best
+
+
+def _divide(
+    frame: Frame,
+    voxels: Indices,
+    slots: list[int],
+    tracks: tuple[Track, ...],
+    xyz: Array,
+) -> dict[int, Claim]:
+    """Divide one component among the tracks in it (by slot), by the nearest ellipsoid.
+
+    A track gets nothing and leaves its share to the others when the share is no person, or when the component
+    is too light for all of them: it is a track that has lost its person and stands beside another one, whose
+    arms it must not take.  Where colours tell the persons apart they say first who stands where.
+    """
+    # A tentative track has not shown yet that it is a body of its own: beside a confirmed one it is a ghost.
+    slots = [t for t in slots if tracks[t].status != TENTATIVE] or list(slots)
+    settings = frame.settings
+    places = xyz[slots]
+    if len(slots) > 1:
+        places = _places_by_colour(frame, voxels, [tracks[t] for t in slots], places)
+    near = ellipsoid_distance(frame.voxels.centers[voxels], places, settings)
+    total_kg = len(voxels) * frame.side_kg
+    rows = list(range(len(slots)))
+    while True:
+        nearest = np.argmin(near[rows], axis=0)
+        claims = {}
+        for i, row in enumerate(rows):
+            mine = nearest == i
+            claim = _best_claim(frame, voxels[mine], near[row][mine])
+            claims[slots[row]] = replace(claim, is_shared=len(rows) > 1)
+        failed = [r for r in rows if not claims[slots[r]].is_person]
+        usual_kg = {r: max(tracks[slots[r]].weight_kg, 1e-9) for r in rows}
+        if not failed and total_kg < settings.min_shared_weight * sum(usual_kg.values()):
+            failed = rows
+        if not failed or len(rows) == 1:
+            return claims
+        # Coasting tracks go first, otherwise two tracks on one person would take turns for ever.
+        rows.remove(
+            min(
+                failed,
+                key=lambda r: (RANK[tracks[slots[r]].status], claims[slots[r]].weight_kg / usual_kg[r]),
+            )
+        )
+
+
+def _places_by_colour(frame: Frame, voxels: Indices, tracks: list[Track], xyz: Array) -> Array:
+    """Where each person stands in a blob of several, (T, 3) m, by the colours of its voxels; xyz without them.
+
+    Three rounds of expectation and maximisation over the coloured voxels, in the plane, from the predicted places.
+    """
+    if frame.bins is None or not frame.settings.keep_identity or any(t.appearance is None for t in tracks):
+        return xyz
+    rows = voxels[frame.bins[voxels] >= 0]
+    if len(rows) < MIN_COLOURED:
+        return xyz
+    likelihood = np.empty((len(tracks), len(rows)))
+    for i, track in enumerate(tracks):
+        model = np.zeros(N_BINS) if track.appearance is None else track.appearance.sum(axis=0)
+        likelihood[i] = model[frame.bins[rows]] + _COLOUR_FLOOR
+    points = frame.voxels.centers[rows]
+    places = xyz.copy()
+    for _ in range(3):
+        share = likelihood * np.exp(-0.5 * ellipsoid_distance(points, places, frame.settings))
+        share /= np.maximum(share.sum(axis=0), 1e-300)
+        mass = share.sum(axis=1)
+        for i in range(len(tracks)):
+            if mass[i] >= 0.05 * len(rows):
+                shift = share[i] @ points[:, :2] / mass[i] - xyz[i, :2]
+                far = float(np.hypot(shift[0], shift[1]))
+                places[i, :2] = xyz[i, :2] + shift * min(1.0, _PULL_M / max(far, 1e-9))
+    return places
+
+
+def _best_claim(frame: Frame, voxels: Indices, distance: Array) -> Claim:
+    """The whole share if it is a person, otherwise the part inside the ellipsoid (CF Eq. 4.4)."""
+    whole = claim_of(frame, voxels)
+    return whole if whole.is_person else claim_of(frame, voxels[distance <= 1.0])
+
+
+def likeness(track_appearance: Histogram | None, blob_appearance: Histogram | None) -> float | None:
+    """Bhattacharyya coefficient of two colour models; None when one is unknown."""
+    if track_appearance is None or blob_appearance is None:
+        return None
+    return bhattacharyya(track_appearance, blob_appearance)
+
+
+def _free_persons(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> list[int]:
+    """Person components that belong to nobody and stand away from every track; heaviest first."""
+    parts = frame.parts
+    owners = np.array([c.centroid for c in claims.values() if len(c.voxels)])
+    free = [int(k) for k in np.flatnonzero(frame.verdicts & ~is_taken)]
+    if len(owners) and free:
+        gap = np.linalg.norm(parts.centroid[free, None, :2] - owners[None, :, :2], axis=2)
+        free = [k for k, d in zip(free, gap, strict=True) if d.min() >= frame.settings.min_distance_m]
+    return sorted(free, key=lambda k: (-parts.weight_kg[k], k))
+
+
+def _reacquire(
+    frame: Frame,
+    tracks: tuple[Track, ...],
+    xyz: Array,
+    claims: dict[int, Claim],
+    is_taken: NDArray[np.bool_],
+) -> None:
+    """Tracks without a person take over free person components within reach, nearest pair first.
+
+    With colours: not of somebody else; and the longer a person was out of sight, the further away.
+    """
+    missing = [t for t in range(len(tracks)) if t not in claims or not claims[t].is_person]
+    if not missing:
+        return
+    parts, settings = frame.parts, frame.settings
+    healthy = {t: c for t, c in claims.items() if c.is_person}
+    free = _free_persons(frame, healthy, is_taken)
+    looks = {k: frame.appearance(parts.voxels(k)) for k in free} if settings.keep_identity else {}
+    pairs = []
+    for t in missing:
+        for k in free:
+            gap = float(np.linalg.norm(parts.centroid[k, :2] - xyz[t, :2]))
+            reach = settings.reacquire_distance_m
+            alike = likeness(tracks[t].appearance, looks.get(k))
+            if alike is not None and alike < _UNLIKE:
+                continue
+            if alike is not None and alike >= settings.reid_likeness and tracks[t].status == COASTING:
+                reach += 1.5 * tracks[t].misses / settings.fps
+            if gap <= reach:
+                pairs.append((gap, t, k))
+    found: set[int] = set()
+    for _, t, k in sorted(pairs):
+        if t not in found and not is_taken[k]:
+            claims[t] = part_claim(frame, k, is_new=True)
+            is_taken[k] = True
+            found.add(t)
+
+
+def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> list[int]:
+    """Components that become new tracks. Source: CF 4.2.3, track creation criteria."""
+    newborn: list[int] = []
+    for k in _free_persons(frame, claims, is_taken):
+        centroid = frame.parts.centroid
+        gaps = [np.linalg.norm(centroid[k, :2] - centroid[n, :2]) for n in newborn]
+        if all(gap >= frame.settings.min_distance_m for gap in gaps):
+            newborn.append(k)
+            is_taken[k] = True
+    return newborn
+
+
+def _add_fragments(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> None:
+    """Loose parts (a hand that the carving cut off) go to the nearest track within reach."""
+    parts, settings = frame.parts, frame.settings
+    owners = [t for t, c in claims.items() if len(c.voxels)]
+    loose = np.flatnonzero(~is_taken & (parts.weight_kg >= settings.min_fragment_kg))
+    if not owners or not len(loose):
+        return
+    xyz = np.array([claims[t].centroid for t in owners])
+    weight = np.array([claims[t].weight_kg for t in owners])
+    reach = ellipsoid_distance(parts.centroid[loose], xyz, settings)
+    nearest = np.argmin(reach, axis=0)
+    belongs = (reach.min(axis=0) <= settings.fragment_reach**2) & (parts.weight_kg[loose] < weight[nearest])
+    for i, t in enumerate(owners):
+        mine = loose[belongs & (nearest == i)]
+        if len(mine):
+            old = claims[t]
+            voxels = np.sort(np.concatenate([old.voxels, *(parts.voxels(int(k)) for k in mine)]))
+            new = claim_of(frame, voxels)
+            claims[t] = replace(
+                new, is_person=old.is_person or new.is_person, is_shared=old.is_shared, is_new=old.is_new
+            )
+            is_taken[mine] = True

@@ -1,0 +1,151 @@
+"""The tracking stage on hulls of boxes: owners, persons who return, coarser voxels, and what is stored."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mocap.data import VoxelGrid
+from mocap.errors import MocapError
+from mocap.io.store import StageStore
+from mocap.pipeline.config import load_config
+from mocap.pipeline.stages.track import stored_tracks, track_stage
+from mocap.pipeline.tracking import every_frame, tracker_settings
+from mocap.volume import surface_voxels
+
+GRID = VoxelGrid(np.array([-1.5, -1.0, 0.0]), (60, 40, 36), 0.05)
+RED, BLUE = (200, 40, 30), (30, 50, 190)
+FPS = 10.0
+ENTRY = [[(x, 0.0, RED)] for x in np.linspace(-1.4, 0.4, 14)]
+CLIP = ENTRY + ENTRY[::-1] + [[]] * 20 + ENTRY
+
+
+def hull(people):
+    """Voxels and colours of upright boxes of 30 x 30 x 170 cm."""
+    centers = GRID.centers(np.arange(GRID.n_voxels, dtype=np.int32))
+    rgb = np.zeros((GRID.n_voxels, 3), dtype=np.uint8)
+    full = np.zeros(GRID.n_voxels, dtype=bool)
+    for x, y, colour in people:
+        mine = (np.abs(centers[:, 0] - x) < 0.16) & (np.abs(centers[:, 1] - y) < 0.16) & (centers[:, 2] < 1.7)
+        full |= mine
+        rgb[mine] = colour
+    return np.flatnonzero(full).astype(np.int32), rgb[full]
+
+
+@pytest.fixture
+def stage(tmp_path):
+    """Runs the stage on a clip: (tracks, owners of every frame, store)."""
+
+    def run(clip, *settings, seed=0):
+        store = StageStore(tmp_path / f"store-{len(list(tmp_path.iterdir()))}.zarr")
+        attrs = {
+            "origin_m": GRID.origin.tolist(),
+            "shape": list(GRID.shape),
+            "voxel_size_m": GRID.voxel_size_m,
+        }
+        with store.writer("carve", "k", attrs) as out:
+            for frame, people in enumerate(clip):
+                voxels, rgb = hull(people)
+                is_surface = surface_voxels(voxels, GRID)
+                out.append(
+                    frame, voxels=voxels, is_surface=is_surface, n_views=is_surface.astype(np.uint8), rgb=rgb
+                )
+        session = SimpleNamespace(frames=range(len(clip)), fps=FPS)
+        config = load_config(settings=settings)
+        tracks = track_stage(session, config, store, "k", seed=seed, progress=lambda *a: None)
+        owners = {f: arrays["owner"] for f, arrays in store.reader("track-owners")}
+        return tracks, owners, store
+
+    return run
+
+
+@pytest.mark.parametrize("tracker", ["naive", "particle", "sparse"])
+def test_owner_of_a_person_who_returns_is_his_number_from_the_first_frame_on(stage, tracker):
+    """He is recognised some frames after he came in; poses need the owner of those frames as well."""
+    tracks, owners, _ = stage(CLIP, f"tracking.tracker={tracker}", "tracking.lost_frames=5")
+    assert tracks.persons == (1,)
+    assert tracks.frame[tracks.frame >= 30].min() == 48
+    for frame in tracks.frame:
+        assert set(np.unique(owners[frame])) == {1}
+    assert list(owners) == list(range(len(CLIP)))
+
+
+def test_without_recognition_he_is_somebody_else(stage):
+    tracks, owners, _ = stage(CLIP, "tracking.reid_s=0", "tracking.lost_frames=5")
+    assert tracks.persons == (1, 2)
+    assert set(np.unique(owners[len(CLIP) - 1])) == {2}
+
+
+@pytest.mark.parametrize("size", [0.05, 0.1, 0.15])
+def test_every_fine_voxel_has_its_owner_on_coarser_voxels(stage, size):
+    clip = [[(-0.8 + 0.02 * i, -0.4, RED), (0.8, 0.4, BLUE)] for i in range(8)]
+    tracks, owners, _ = stage(clip, f"tracking.voxel_size_m={size}")
+    assert tracks.persons == (1, 2)
+    for frame, people in enumerate(clip):
+        x = GRID.centers(hull(people)[0])[:, 0]
+        numbers = [set(owners[frame][side].tolist()) for side in (x < 0, x > 0)]
+        assert sorted(len(n) for n in numbers) == [1, 1]
+        assert set.union(*numbers) == {1, 2}
+
+
+def test_finer_voxels_than_the_volume_are_refused(stage):
+    with pytest.raises(MocapError, match=r"tracking\.voxel_size_m is 0\.02"):
+        stage(ENTRY[:3], "tracking.voxel_size_m=0.02")
+
+
+def test_stored_tracks_are_those_of_the_stage(stage):
+    clip = [*ENTRY[8:], [], [], *ENTRY[8:][::-1]]
+    tracks, _, store = stage(clip)
+    read = stored_tracks(store, FPS)
+    for name in ("frame", "person", "time_s", "xyz", "covariance", "observed"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(tracks, name), err_msg=name)
+    assert np.count_nonzero(~read.observed) == 2
+
+
+def test_tracks_without_covariance_are_read_as_well(stage):
+    """The marker pipeline stores positions alone."""
+    _, _, store = stage(ENTRY[:3])
+    with store.writer("track", "k2", {}) as out:
+        out.append(0, person=np.zeros(0, dtype=np.int64), xyz=np.zeros((0, 3)))
+        out.append(1, person=np.array([1]), xyz=np.array([[0.1, 0.2, 0.9]]))
+    tracks = stored_tracks(store, FPS)
+    assert (tracks.covariance, tracks.observed, tracks.std) == (None, None, None)
+    assert tracks.frame.tolist() == [1]
+
+
+def test_expected_persons_and_published_reach_the_tracker():
+    config = load_config(
+        settings=("tracking.expected_persons=3", "tracking.tracker=sparse", "tracking.published=true")
+    )
+    s = tracker_settings(config.tracking, GRID, FPS, 100)
+    assert (s.expected_persons, s.tracker, s.estimate, s.motion) == (3, "sparse", "filter", "none")
+    assert (s.fps, s.voxel_size_m, s.confirm_frames) == (FPS, 0.05, 3)
+    plain = tracker_settings(load_config().tracking, GRID, FPS, 4)
+    assert (plain.tracker, plain.estimate, plain.confirm_frames) == ("naive", "voxels", 2)
+
+
+def test_nobody_in_the_room(stage):
+    tracks, owners, store = stage([[]] * 5)
+    assert len(tracks) == 0
+    assert len(stored_tracks(store, FPS)) == 0
+    assert all(len(o) == 0 for o in owners.values())
+
+
+def test_same_seed_same_owners(stage):
+    clip = [[(-0.3, 0.0, RED), (0.02 * i, 0.1, BLUE)] for i in range(8)]
+    settings = ("tracking.tracker=sparse", "tracking.published=true")
+    a, b, c = (stage(clip, *settings, seed=seed)[0] for seed in (4, 4, 5))
+    np.testing.assert_array_equal(a.xyz, b.xyz)
+    assert a.xyz.shape != c.xyz.shape or np.any(a.xyz != c.xyz)
+
+
+def test_frames_of_an_absence_are_held_and_not_cut_out():
+    frames, values = np.array([3, 4, 7]), np.arange(6.0).reshape(3, 2)
+    whole = every_frame(frames, values)
+    np.testing.assert_array_equal(whole[[0, 1, 4]], values)
+    assert np.isnan(whole[2:4]).all()
+    assert len(whole) == 5
+    np.testing.assert_array_equal(every_frame(frames[:2], values[:2]), values[:2])
+    assert every_frame(frames[:0], values[:0]).shape == (0, 2)
