@@ -156,7 +156,7 @@ class PoseConfig(_Section):
     outline_weight: float = Field(default=3.0, ge=0)
     """Weight of the silhouettes' outlines in refinement and evidence; 0 = without."""
     posture_nats: float = Field(default=2.0, ge=0)
-    """What it costs a limb to point at right angles to where it hangs at ease, half of what the opposite way costs: it
+    """What it costs an arm to point at right angles to where it hangs at ease, half of what the opposite way costs: it
     decides what the data do not."""
     colour_weight: float = Field(default=100.0, ge=0)
     """Nats that the colours of the hull's surface are worth in the evidence, per nat of a point's colour; 0 = without.

@@ -49,6 +49,7 @@ _CLEAR_FACING_NATS = 3.0
 _SHORT_FRAMES = 10  # a clip too short to compare two starting hypotheses over time
 _GONE_S = 0.4  # without a volume, after which a pose is looked for anew
 _CROWDED = 0.4  # share of a hull's surface that the body leaves unexplained
+_GENTLE_OUTLINES = 1.0
 _SIZING_STRIDE_S = 0.1
 _N_SIZING_FRAMES = 6
 _DECISIVE_NATS = 25.0  # one frame decides alone when its two hypotheses are this far apart
@@ -147,6 +148,7 @@ def filter_frames(
     particles: ParticleState | None = None
     estimate = first
     last_xyz = xyz[order[0]] if len(order) else np.zeros(3)
+    last_row: int | None = None
     blind_std, n_blind = 0.0, 0
     nothing = np.zeros((tools.body.layout.n_columns,) * 2)
     rescue = Rescue()
@@ -181,8 +183,11 @@ def filter_frames(
             moved[:, :3] += shift
             particles = replace(particles, particles=moved)
         last_xyz = xyz[i]
-        previous = None if blind_std > 0 else estimate
-        has_returned = n_blind >= max(2, round(_GONE_S * tools.fps))
+        # Frames in which the person was not tracked have no rows.
+        n_away = 0 if last_row is None else abs(int(frames[i] - frames[last_row])) - abs(i - last_row)
+        last_row = i
+        previous = None if blind_std > 0 or n_away > 0 else estimate
+        has_returned = n_blind + n_away >= max(2, round(_GONE_S * tools.fps))
         blind_std, n_blind = 0.0, 0
         rng = rng_for(seed, stage, person, int(frames[i]))
         particles, info = step(problem, particles, settings, rng=rng)
@@ -355,6 +360,14 @@ def start_person(
             tried = try_first_poses(search, rng=rng_for(seed, "first-pose", person, frame))
             searches.append((search, tried))
     search, tried = max(searches, key=lambda entry: entry[1][0].log_likelihood)
+    surface = search.problem.surface
+    unexplained = len(surface.unexplained(tried[0].state, UNEXPLAINED_M)) / max(surface.n_points, 1)
+    if unexplained > _CROWDED and tools.pose.outline_weight > _GENTLE_OUTLINES:
+        # The silhouettes hold more than the person, a chair perhaps: their outlines are not all his.
+        gentle = {"outline_weight": _GENTLE_OUTLINES}
+        tools = replace(tools, pose=tools.pose.model_copy(update=gentle))
+        searching = replace(searching, pose=searching.pose.model_copy(update=gentle))
+        search = replace(search, tools=searching)
     hypotheses = settle_first_poses(search, tried, rng=rng_for(seed, "settle", person, search.frame))
     best, trial = choose_hypothesis(tools, person, frames, xyz, hull_of, hypotheses, seed=seed)
     if is_size_fitted:

@@ -39,12 +39,18 @@ class Posture:
 
 
 def usual_posture(body: Body) -> Posture:
-    """The neutral pose's limbs: the first part of everything that hangs on the root part."""
+    """The neutral pose's arms and head: the first part of all that hangs on the trunk above the root.
+
+    Legs carry the body and bend in every chair: what is usual for them depends on where the person is.
+    """
     layout, cones = body.layout, body.cones
     joint, axis = [], []
     for part in range(1, layout.n_parts):
         own = np.flatnonzero(cones.part == part)
-        if layout.parent_of_part[part] != 0 or not len(own) or body.parent[cones.joint[own[0]]] < 0:
+        if layout.parent_of_part[part] != 0 or not len(own):
+            continue
+        parent = int(body.parent[cones.joint[own[0]]])
+        if parent < 0 or body.parent[parent] < 0:
             continue
         along = cones.end[own[0]] - cones.start[own[0]]
         length = float(np.linalg.norm(along))

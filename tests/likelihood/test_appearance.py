@@ -63,7 +63,9 @@ def test_bins_tell_clothes_from_skin_and_stay_in_range() -> None:
     rng = np.random.default_rng(0)
     rgb = rng.integers(0, 256, (500, 3)).astype(np.uint8)
     bins = colour_bins_of_voxels(rgb)
-    assert bins.shape == (500,) and bins.min() >= 0 and bins.max() < N_COLOURS
+    assert bins.shape == (500,)
+    assert bins.min() >= 0
+    assert bins.max() < N_COLOURS
     apart = colour_bins_of_voxels(np.array([SHIRT, TROUSERS, SKIN], dtype=np.uint8))
     assert len(set(apart.tolist())) == 3
     assert len(colour_bins_of_voxels(np.zeros((0, 3), dtype=np.uint8))) == 0
@@ -93,7 +95,8 @@ def test_what_was_learnt_prefers_the_pose_it_was_learnt_from(
     appearance = dressed(coarse_flesh, standing).learnt(standing, all_parts(coarse_flesh))
     colours = dressed(coarse_flesh, standing, appearance)
     good, bad = colours.log_ratio(np.stack([standing, moved_arm(coarse_flesh, standing)]))
-    assert good > 0 and good > bad + 0.02
+    assert good > 0
+    assert good > bad + 0.02
 
 
 def test_parts_that_are_not_trusted_teach_nothing(coarse_flesh: Flesh, standing: np.ndarray) -> None:
@@ -104,7 +107,8 @@ def test_parts_that_are_not_trusted_teach_nothing(coarse_flesh: Flesh, standing:
     learnt = colours.learnt(standing, trusted)
     zones = colours.appearance.zones
     of_arms = np.unique(zones.first[np.isin(coarse_flesh.body.cones.part, arms)])
-    assert learnt.counts[of_arms].sum() == 0 and learnt.counts.sum() > 0
+    assert learnt.counts[of_arms].sum() == 0
+    assert learnt.counts.sum() > 0
     assert colours.appearance.counts.sum() == 0, "the old appearance stays as it was"
 
 

@@ -77,7 +77,8 @@ def test_frames_without_a_hull_end_the_repair(  # type: ignore[no-untyped-def]
 ) -> None:
     states = lost(tools, truth, 3, 6)
     found = repair_limbs(tools.body, states, FPS, lambda row: None if row in (3, 5) else frame_of(row))
-    assert 3 not in found and 5 not in found
+    assert 3 not in found
+    assert 5 not in found
 
 
 def test_the_states_given_are_not_changed(  # type: ignore[no-untyped-def]

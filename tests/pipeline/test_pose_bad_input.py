@@ -254,3 +254,21 @@ def test_size_is_fitted_to_a_person_who_never_stands_upright() -> None:
     assert poses.height.height_m == poses.body.height_m
     assert abs(poses.height.height_m - HEIGHT_M) < 0.5 * 0.07 * HEIGHT_M
     assert replace(poses, warnings=()).person == 1
+
+
+@pytest.mark.slow
+def test_frames_without_a_track_count_as_absence() -> None:
+    """The tracker leaves out the frames between two visits: the person comes back turned, and is searched for anew."""
+    n_gone = round(GONE_S * FPS)
+    states = walk(14 + 10)
+    states[14:] = moved(states[14:], 0.7, 0.5, np.deg2rad(150))
+    frames = np.concatenate([np.arange(14), 14 + n_gone + np.arange(10)])
+    row_of = {int(f): i for i, f in enumerate(frames)}
+    found = hulls(states)
+    tools = make_tools(flesh().grid, FPS, HEIGHT_M, "anthropometric", POSE, LikelihoodConfig(), 1)
+    xyz = np.array([flesh().grid.centers(h.voxels).mean(axis=0) for h in found])
+    poses = follow_person(
+        1, frames, xyz, lambda f: found[row_of[f]], tools, HeightEstimate(HEIGHT_M, True), seed=SEED
+    )
+    assert_nothing_unflagged(poses)
+    assert np.median(judged(poses, states).error_m[-5:]) < 0.05

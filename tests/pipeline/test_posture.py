@@ -36,6 +36,14 @@ def test_where_the_body_is_and_faces_does_not_matter(body: Body) -> None:
     assert departure[0] == pytest.approx(departure[1])
 
 
+def test_legs_are_free(body: Body) -> None:
+    sitting = neutral_state(body)
+    for side in ("left", "right"):
+        sitting[body.layout.names.index(f"{side}_hip_y")] = -1.5
+        sitting[body.layout.names.index(f"{side}_knee_y")] = 1.5
+    assert usual_posture(body).departure(sitting[None])[0] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_both_sides_count_alike(body: Body) -> None:
     left, right = neutral_state(body), neutral_state(body)
     names = body.layout.names
