@@ -5,7 +5,7 @@ pipeline, then every filter starts from the same pose and tracks the same frames
 evaluations of the whole body per frame. Error: mean over 15 landmarks and frames, mm.
 Writes eval/results/decomposition_3d.csv and decomposition_3d.png.
 
-    python -m eval.decomposition_3d [--full] [--work out/eval/decomposition]
+    python -m eval.decomposition_3d [--full] [--only psipf] [--work out/eval/decomposition]
 
 --quick (default): 24 frames, 2 runs; about 15 minutes on one core.  --full: 149 frames, 10 runs; about 8 hours.
 Nothing is published. The voxel likelihood is the factorised one of the reference mode, so that filters which place
@@ -46,6 +46,7 @@ LAYERS = {
     "pfcr": 1,
     "psapf": 2,
     "sbapf": 2,
+    "psipf": 1,
     "pso": 4,
     "hpso": 4,
     "apsopf": 4,
@@ -154,13 +155,16 @@ def prepare(work: Path, n_frames: int) -> Clip:
     )
 
 
-def track_all(clip: Clip, body: str, budgets: Sequence[int], n_runs: int) -> Iterator[dict[str, str]]:
-    """All filters and budgets side by side through the frames of one body: a CSV line for each."""
+def track_all(
+    clip: Clip, body: str, budgets: Sequence[int], n_runs: int, names: Sequence[str] | None = None
+) -> Iterator[dict[str, str]]:
+    """Filters (None = all) and budgets side by side through the frames of one body: a CSV line for each."""
     import time
 
     layout = clip.bodies[body].layout
     runs: dict[tuple[str, int, int], dict[str, Any]] = {}
-    for name in FILTERS:
+    names = list(FILTERS) if names is None else names
+    for name in names:
         layers = LAYERS.get(name, OTHERS)
         for budget in budgets:
             for seed in range(n_runs):
@@ -194,7 +198,7 @@ def track_all(clip: Clip, body: str, budgets: Sequence[int], n_runs: int) -> Ite
             run["states"].append(info.estimate)
             run["spent"] += info.n_evaluations
         sys.stderr.write(f"{body}: frame {row + 1}/{len(clip.truth)}\n")
-    for name in FILTERS:
+    for name in names:
         for budget in budgets:
             yield _line(clip, body, name, budget, [runs[name, budget, seed] for seed in range(n_runs)])
 
@@ -276,15 +280,21 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--frames", type=int)
     parser.add_argument("--runs", type=int)
     parser.add_argument("--budgets", default=",".join(map(str, BUDGETS)))
+    parser.add_argument("--only", help="filters, with commas; their lines replace those of the table")
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval" / "decomposition")
     args = parser.parse_args(argv)
     n_frames = args.frames or (149 if args.full else 24)
     n_runs = args.runs or (10 if args.full else 2)
     clip = prepare(args.work, n_frames)
+    names = args.only.split(",") if args.only else list(FILTERS)
+    again = {LABELS.get(name, name) for name in names}
+    kept = read_csv(RESULTS / "decomposition_3d.csv") if args.only else []
+    kept = [line for line in kept if line["method"] not in again]
     lines: list[dict[str, str]] = []
     for body in clip.problems:
-        lines += track_all(clip, body, [int(b) for b in args.budgets.split(",")], n_runs)
-        write_csv(RESULTS / "decomposition_3d.csv", FIELDS, lines)
+        lines += [line for line in kept if line["body"] == body]
+        lines += track_all(clip, body, [int(b) for b in args.budgets.split(",")], n_runs, names)
+    write_csv(RESULTS / "decomposition_3d.csv", FIELDS, lines)
     picture()
     for line in lines:
         sys.stdout.write("  ".join(line[f] for f in FIELDS) + "\n")

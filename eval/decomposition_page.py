@@ -34,12 +34,16 @@ the whole object equally often per frame. A ratio is the mean error of the filte
 the other, on the same scenes; its 95 % interval is a paired bootstrap over runs. *Decided* means that the interval
 excludes 1.
 
-Commands: `python -m eval.decomposition_sw_tables`, `..._xn_4`, `..._xn_5`, `..._xn_6`, `..._3d`, each with `--full`
-for all cells and 20 runs. What stands here was made without it; [how to read it](#how-to-read-it) stands at the end.
+Commands: `python -m eval.decomposition_sw_tables`, `..._xn_4`, `..._xn_5`, `..._xn_6`, `..._sharpness`, `..._steps`,
+`..._3d`, each with `--full` for all cells and 20 runs. What stands here was made without it; 10 runs per cell come
+from `--scenes 5 --runs 2`; [how to read it](#how-to-read-it) stands at the end.
 """
 
 SHARPNESS_HEAD = """Swapping needs copies, and resampling makes copies only where weights differ. Four arms; `sw` is
 SW Table 1 with lambda = 50, `sw_200` the same with lambda = 200."""
+
+STEPS_HEAD = """An annealed filter walks in its last layer by 0.71 of the noise. "SBPS x 0.71" walks by 0.71 of the
+noise of SW Table 1 too; the last layer of "APF x 1.41" walks by all of it."""
 
 Line = dict[str, str]
 
@@ -63,15 +67,22 @@ def ranking(claims: Sequence[Line]) -> list[str]:
     for claim in claims:
         if claim["verdict"] != "none":
             by_table.setdefault(claim["table"], []).append(claim)
-    out = [_row(["table", "published orders", "hold", "share", "decided for", "decided against"]), _rule(6)]
+    names = ["table", "runs per cell", "published orders", "hold", "share", "decided for", "decided against"]
+    out = [_row(names), _rule(len(names))]
     known = [claim for own in by_table.values() for claim in own]
     for table, own in [*by_table.items(), ("all", known)]:
         if own:
             holds = sum(float(c["ratio"]) < 1 for c in own)
             verdicts = [c["verdict"] for c in own]
-            counts = [str(len(own)), str(holds), f"{100 * holds / len(own):.0f} %"]
+            counts = [runs_of(own), str(len(own)), str(holds), f"{100 * holds / len(own):.0f} %"]
             out.append(_row([table, *counts, str(verdicts.count("yes")), str(verdicts.count("no"))]))
     return out
+
+
+def runs_of(claims: Sequence[Line]) -> str:
+    """How many runs the cells of some claims have: "10", or "6 to 10"."""
+    runs = sorted({int(c["runs"]) for c in claims})
+    return str(runs[0]) if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
 
 
 def by_order(claims: Sequence[Line]) -> list[str]:
@@ -111,11 +122,11 @@ def by_order(claims: Sequence[Line]) -> list[str]:
 
 def by_cell(claims: Sequence[Line]) -> list[str]:
     """Every order with its ratio and interval."""
-    out = [_row(["cell", "order", "ratio", "95 %"]), _rule(4)]
+    out = [_row(["cell", "order", "runs", "ratio", "95 %"]), _rule(5)]
     for c in claims:
         if c["verdict"] != "none":
             order = f"{c['better']} / {c['worse']}"
-            out.append(_row([c["cell"], order, c["ratio"], f"{c['low']} to {c['high']}"]))
+            out.append(_row([c["cell"], order, c["runs"], c["ratio"], f"{c['low']} to {c['high']}"]))
     return out
 
 
@@ -236,6 +247,10 @@ def page() -> str:
         ]
         out += ["", SHARPNESS_HEAD, "", *errors(sharp), ""]
         out += [*by_cell(read_csv(RESULTS / "decomposition_sharpness_ranking.csv")), ""]
+    steps = read_csv(RESULTS / "decomposition_steps.csv")
+    if steps:
+        out += ["## Width of the walk (ours)", "", STEPS_HEAD, "", *errors(steps), ""]
+        out += [*by_cell(read_csv(RESULTS / "decomposition_steps_ranking.csv")), ""]
     bodies = read_csv(RESULTS / "decomposition_3d.csv")
     if bodies:
         out += ["## 3D bodies: mean landmark error, mm", "", "![3D](../eval/results/decomposition_3d.png)"]

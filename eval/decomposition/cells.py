@@ -59,6 +59,14 @@ for _lambda in SHARPNESS:
         WORLDS["sw"], likelihood=PolygonLikelihoodSettings(lambda_colour=float(_lambda))
     )
 
+# The filters' walk in percent of that of "sw"; the motion stays as it is.
+STEP_WIDTHS = (50, 71, 141)
+for _percent in STEP_WIDTHS:
+    _factor = _percent / 100
+    WORLDS[f"step_{_percent}"] = replace(
+        WORLDS["sw"], std_px=_factor * WORLDS["sw"].std_px, std_rad=_factor * WORLDS["sw"].std_rad
+    )
+
 
 @dataclass(frozen=True, order=True)
 class SceneKey:

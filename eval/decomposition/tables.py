@@ -30,6 +30,7 @@ LABELS = {
     "psapf": "APF",
     "sbapf": "SBAPF",
     "pfcr": "PFCR",
+    "psipf": "PSIPF",
     "pso": "PSO",
     "hpso": "HPSO",
     "apsopf": "APSOPF",

@@ -15,22 +15,21 @@ def truncated_gaussian_step(
     """One draw of N(particle, std^2) truncated to [lower, upper], column by column.
 
     particles : (N, D).  std, lower, upper : (D,), bounds may be infinite. A particle outside its bounds is moved to
-    the nearest bound first. Columns with std 0 are only clipped.
+    the nearest bound first. Columns with std 0 are only clipped, without a draw.
     Exact sampling by the inverse distribution function, one uniform draw per number.
     Source: CF Eq. 6.3 with N* of section 6.3.4; departs from it in method: it draws again until legal,
     which costs time near a limit.
     """
-    y = np.clip(particles, lower, upper)
-    u = rng.random(y.shape)
-    safe = np.where(std > 0, std, 1.0)
-    bounded = np.isfinite(lower) | np.isfinite(upper)
-    out = y.copy()
-    free = ~bounded & (std > 0)
+    out = np.clip(particles, lower, upper)
+    moving = np.flatnonzero(std > 0)
+    if not len(moving):
+        return out
+    y, sigma, low, high = out[:, moving], std[moving], lower[moving], upper[moving]
     # A uniform of exactly 0 would give -inf.
-    u = np.clip(u, 1e-16, 1 - 1e-16)
-    out[:, free] += safe[free] * ndtri(u[:, free])
-    cut = bounded & (std > 0)
-    a = ndtr((lower[cut] - y[:, cut]) / safe[cut])
-    b = ndtr((upper[cut] - y[:, cut]) / safe[cut])
-    out[:, cut] += safe[cut] * ndtri(a + u[:, cut] * (b - a))
-    return np.clip(out, lower, upper)
+    u = np.clip(rng.random(y.shape), 1e-16, 1 - 1e-16)
+    cut = np.isfinite(low) | np.isfinite(high)
+    a = ndtr((low[cut] - y[:, cut]) / sigma[cut])
+    b = ndtr((high[cut] - y[:, cut]) / sigma[cut])
+    u[:, cut] = a + u[:, cut] * (b - a)
+    out[:, moving] = np.clip(y + sigma * ndtri(u), low, high)
+    return out

@@ -23,6 +23,15 @@ from mocap.filters.partitioned import PartitionedSettings
 from mocap.filters.pfcr import pfcr_step
 from mocap.filters.ps import parallel_ps_step, ps_step
 from mocap.filters.psapf import PsapfSettings, psapf_step, sbapf_step
+from mocap.filters.psipf import PsipfSettings, psipf_step
+from mocap.filters.rbpf import (
+    ConditionallyLinearProblem,
+    LinearMeasurement,
+    MixtureState,
+    RbpfSettings,
+    mixture_covariance,
+    rbpf_step,
+)
 from mocap.filters.refine import RefineInfo, RefineSettings, refine
 from mocap.filters.sbps import sbps_step
 from mocap.filters.scout import ScoutInfo, ScoutSettings, scout_limbs
@@ -38,7 +47,8 @@ from mocap.filters.swarm import (
 
 FilterStep = Callable[..., tuple[ParticleState, FilterInfo]]
 
-# Every pose filter by the name that the command line takes; `settings_for` makes the settings of each.
+# Every pose filter by the name that the command line takes; `settings_for` makes the settings of each. `rbpf_step` is
+# not among them: it needs a `ConditionallyLinearProblem`, and a body is none.
 FILTERS: dict[str, FilterStep] = {
     "sir": sir_step,
     "apf": apf_step,
@@ -51,6 +61,7 @@ FILTERS: dict[str, FilterStep] = {
     "pfcr": pfcr_step,
     "psapf": psapf_step,
     "sbapf": sbapf_step,
+    "psipf": psipf_step,
     "pso": pso_step,
     "hpso": hpso_step,
     "apsopf": apsopf_step,
@@ -60,22 +71,27 @@ FILTERS: dict[str, FilterStep] = {
 
 # Those of them that need one log-likelihood for each part, so not a global one.
 PART_BY_PART = frozenset(
-    {"ps", "parallel-ps", "sbps", "pfcr", "psapf", "sbapf", "hpso", "chapsopf", "hapsopf"}
+    {"ps", "parallel-ps", "sbps", "pfcr", "psapf", "sbapf", "psipf", "hpso", "chapsopf", "hapsopf"}
 )
 
 __all__ = [
     "FILTERS",
     "PART_BY_PART",
     "ApfSettings",
+    "ConditionallyLinearProblem",
     "DdmaSettings",
     "DdmaState",
     "FilterInfo",
     "FilterSettings",
     "FilterStep",
     "LimbSettings",
+    "LinearMeasurement",
+    "MixtureState",
     "ParticleState",
     "PartitionedSettings",
     "PsapfSettings",
+    "PsipfSettings",
+    "RbpfSettings",
     "RefineInfo",
     "RefineSettings",
     "ScoutInfo",
@@ -87,6 +103,8 @@ __all__ = [
     "apf_step",
     "ddma_step",
     "initial_particles",
+    "mixture_covariance",
+    "rbpf_step",
     "refine",
     "scout_limbs",
     "settings_for",

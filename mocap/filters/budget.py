@@ -14,6 +14,7 @@ from mocap.filters.apf import ApfSettings
 from mocap.filters.ddma import DdmaSettings, ShbmDdmaSettings
 from mocap.filters.partitioned import PartitionedSettings
 from mocap.filters.psapf import PsapfSettings
+from mocap.filters.psipf import PsipfSettings
 from mocap.filters.shbm import ShbmSettings, shbm_settings
 from mocap.filters.swarm import SwarmSettings
 
@@ -93,6 +94,13 @@ def _annealed_partitioned(budget: Budget) -> PsapfSettings:
     )
 
 
+def _intervals(budget: Budget) -> PsipfSettings:
+    """n_particles * n_layers placements of every part; as many particles are kept as can try 27 each: a joint with
+    three angles gets three values in each of them."""
+    n = budget.n_evaluations
+    return PsipfSettings(n_particles=n, std=budget.std, n_kept=max(n // 27, 1))
+
+
 def _swarm(budget: Budget) -> SwarmSettings:
     """One draw and n_layers - 1 moves of n_particles, but at least one move: a swarm of one layer is two of half."""
     n_iterations = max(budget.n_layers - 1, 1)
@@ -118,6 +126,7 @@ SETTINGS: dict[str, Callable[[Budget], FilterSettings]] = {
     "sbapf": _annealed_partitioned,
     "pfcr": _partitioned,
     "psapf": _annealed_partitioned,
+    "psipf": _intervals,
     "pso": _swarm,
     "hpso": _swarm,
     "apsopf": _swarm,
