@@ -16,6 +16,7 @@ import time
 import traceback
 import uuid
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -345,7 +346,10 @@ def _is_killed(future: Any) -> bool:
 
 def _outcome_of(future: Any, engine: Engine) -> Outcome:
     if future.status == "finished":
-        outcome: Outcome = future.result()
+        try:
+            outcome: Outcome = future.result()
+        except (OSError, CancelledError) as error:  # the job is done, but nobody is left to fetch it from
+            raise _scheduler_left(engine) from error
         return outcome
     if future.status == "error":
         error = future.exception()
