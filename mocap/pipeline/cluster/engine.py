@@ -348,8 +348,8 @@ def _outcome_of(future: Any, engine: Engine) -> Outcome:
     if future.status == "finished":
         try:
             outcome: Outcome = future.result()
-        except (OSError, CancelledError) as error:  # the job is done, but nobody is left to fetch it from
-            raise _scheduler_left(engine) from error
+        except (OSError, CancelledError) as lost:  # the job is done, but nobody is left to fetch it from
+            raise _scheduler_left(engine) from lost
         return outcome
     if future.status == "error":
         error = future.exception()
