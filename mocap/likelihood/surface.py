@@ -222,6 +222,10 @@ class SurfaceProblem:
         distance_to_cones(self._points, start, end, self.body.cones.radii, distance)
         return self._points[distance > distance_m]
 
+    def unexplained_share(self, state: Array, distance_m: float) -> float:
+        """Share of the hull points used that `unexplained` returns; 0 without points."""
+        return len(self.unexplained(state, distance_m)) / max(self.n_points, 1)
+
     def explained_share(self, points: Array, particles: Array, limb: list[int], distance_m: float) -> Array:
         """Share of points (U, 3) m that lie within distance_m of the flesh of one limb of particles (N, D): (N,).
 

@@ -200,13 +200,14 @@ def filter_frames(
                 carried[:3] += shift
                 candidates.append(frame.refined(carried))
             estimate = frame.best(candidates)
+        value = float(frame.evidence([estimate])[0])
         if tools.pose.scouts:
-            before = float(frame.evidence([estimate])[0])
+            before = value
             is_due = lookout.is_due(before)
             estimate = recover_limbs(frame, estimate, previous, look_at_hull=is_due, max_limbs=3, rng=rng)
+            value = float(frame.evidence([estimate])[0])
             if is_due:
-                lookout.note(float(frame.evidence([estimate])[0]) - before)
-        value = float(frame.evidence([estimate])[0])
+                lookout.note(value - before)
         if tools.pose.scouts and (has_returned or rescue.is_due(i, value)):
             velocity = walking_velocity(frames, xyz, i, tools.fps)
             search = PoseSearch(
@@ -267,7 +268,7 @@ def _fit_of(frame: FrameProblem, state: Array) -> _Fit:
     return _Fit(
         information=information,
         misfit=np.maximum(-shared, 0.0),
-        unexplained=len(frame.surface.unexplained(state, UNEXPLAINED_M)) / max(frame.surface.n_points, 1),
+        unexplained=frame.surface.unexplained_share(state, UNEXPLAINED_M),
         log_likelihood=float(per_part.sum()),
     )
 
@@ -360,8 +361,7 @@ def start_person(
             tried = try_first_poses(search, rng=rng_for(seed, "first-pose", person, frame))
             searches.append((search, tried))
     search, tried = max(searches, key=lambda entry: entry[1][0].log_likelihood)
-    surface = search.problem.surface
-    unexplained = len(surface.unexplained(tried[0].state, UNEXPLAINED_M)) / max(surface.n_points, 1)
+    unexplained = search.problem.surface.unexplained_share(tried[0].state, UNEXPLAINED_M)
     if unexplained > _CROWDED and tools.pose.outline_weight > _GENTLE_OUTLINES:
         # The silhouettes hold more than the person, a chair perhaps: their outlines are not all his.
         gentle = {"outline_weight": _GENTLE_OUTLINES}
