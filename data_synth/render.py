@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -86,16 +87,39 @@ class LightMap:
 
     def texels(self, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Texel coordinates (N, 2) and squared distances (N,) of world points (N, 3) float32."""
-        local = points @ self.R.T.astype(np.float32)
-        local -= (self.R @ self.position).astype(np.float32)
-        x, y, z = local[:, 0], local[:, 1], local[:, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.where(z > 1e-3, 1 / z, np.nan)
-        texel = np.empty((len(points), 2), dtype=np.float32)
-        texel[:, 0] = x * (inverse * np.float32(self.scale[0])) + np.float32(self.offset[0])
-        texel[:, 1] = y * (inverse * np.float32(self.scale[1])) + np.float32(self.offset[1])
-        texel[np.isnan(inverse)] = -99
-        return texel, x * x + y * y + z * z
+        return _project_to_map(
+            _float32(points),
+            self.R.astype(np.float32),
+            (self.R @ self.position).astype(np.float32),
+            self.scale.astype(np.float32),
+            self.offset.astype(np.float32),
+        )
+
+
+@numba.njit(cache=True)
+def _project_to_map(
+    points: NDArray[np.float32],
+    R: NDArray[np.float32],
+    t: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    offset: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Texel coordinates, (-99, -99) behind the light, and squared distances of points."""
+    n = len(points)
+    texel = np.empty((n, 2), dtype=np.float32)
+    square = np.empty(n, dtype=np.float32)
+    for i in range(n):
+        a, b, c = points[i, 0], points[i, 1], points[i, 2]
+        x = a * R[0, 0] + b * R[0, 1] + c * R[0, 2] - t[0]
+        y = a * R[1, 0] + b * R[1, 1] + c * R[1, 2] - t[1]
+        z = a * R[2, 0] + b * R[2, 1] + c * R[2, 2] - t[2]
+        square[i] = x * x + y * y + z * z
+        if z > np.float32(1e-3):
+            texel[i, 0] = x * scale[0] / z + offset[0]
+            texel[i, 1] = y * scale[1] / z + offset[1]
+        else:
+            texel[i, 0] = texel[i, 1] = np.float32(-99)
+    return texel, square
 
 
 @dataclass(frozen=True, eq=False)
