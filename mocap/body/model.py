@@ -103,6 +103,11 @@ class Cones:
     joint: NDArray[np.int64]
     part: NDArray[np.int64]
 
+    @property
+    def kernel_arrays(self) -> tuple[NDArray[np.generic], ...]:
+        """The arrays that kernels take, in their order."""
+        return self.start, self.end, self.radii, self.joint, self.part
+
 
 @dataclass(frozen=True, eq=False)
 class Body:

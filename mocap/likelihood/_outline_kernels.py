@@ -7,25 +7,12 @@ import math
 import numpy as np
 from numba import njit
 
-from mocap.likelihood._surface_kernels import add_row, robust_loss
+from mocap.likelihood._pull_kernels import add_pull, chain_axes, place_points, robust_loss, spread_pulls
 
 
 @njit(cache=True, nogil=True)
 def outline_to_body(
-    origins,
-    directions,
-    normals,
-    start,
-    end,
-    radii,
-    cone_joint,
-    moving,
-    scale,
-    normal_cost,
-    gain,
-    H,
-    g,
-    residuals,
+    origins, directions, normals, start, end, radii, cone_joint, scale, normal_cost, pulls, residuals
 ):
     """Pull the flesh until the rays through the outlines touch it; returns the robust cost.
 
@@ -33,20 +20,15 @@ def outline_to_body(
     the direction from the cone's axis to the ray.  residuals : (M,) filled with the signed distances, m.
     """
     n_cones = start.shape[0]
-    columns = np.empty(H.shape[0], np.int64)
-    values = np.empty(H.shape[0])
-    x = np.empty(3)
-    best_n = np.empty(3)
-    slope = np.empty(3)
-    n = np.empty(3)
     cost = 0.0
     middle = 0.5 * (start + end)
+    axis = end - start
     reach = np.empty(n_cones)
+    squared = np.empty(n_cones)
     for k in range(n_cones):
-        length = 0.0
-        for c in range(3):
-            length += (end[k, c] - start[k, c]) ** 2
-        reach[k] = 0.5 * math.sqrt(length) + max(radii[k, 0], radii[k, 1])
+        squared[k] = axis[k, 0] ** 2 + axis[k, 1] ** 2 + axis[k, 2] ** 2 + 1e-12
+        reach[k] = 0.5 * math.sqrt(squared[k]) + max(radii[k, 0], radii[k, 1])
+    hint = 0
     for i in range(origins.shape[0]):
         ox = origins[i, 0]
         oy = origins[i, 1]
@@ -59,7 +41,16 @@ def outline_to_body(
         best_r = 0.0
         best_k = -1
         best_cos = 0.0
-        for k in range(n_cones):
+        best_depth = 0.0
+        nx = 0.0
+        ny = 0.0
+        nz = 0.0
+        taper = 0.0
+        # The cone of the ray before goes first: neighbours mostly share theirs.
+        for order in range(n_cones + 1):
+            k = hint if order == 0 else order - 1
+            if order > 0 and k == hint:
+                continue
             # Distance of the ray to the cone's bounding sphere: most cones are out of the question.
             mx = middle[k, 0] - ox
             my = middle[k, 1] - oy
@@ -68,13 +59,13 @@ def outline_to_body(
             limit = reach[k] + best_root
             if mx * mx + my * my + mz * mz - along_ray * along_ray > limit * limit or along_ray < 0.0:
                 continue
-            ax = end[k, 0] - start[k, 0]
-            ay = end[k, 1] - start[k, 1]
-            az = end[k, 2] - start[k, 2]
+            ax = axis[k, 0]
+            ay = axis[k, 1]
+            az = axis[k, 2]
             wx = start[k, 0] - ox
             wy = start[k, 1] - oy
             wz = start[k, 2] - oz
-            aa = ax * ax + ay * ay + az * az + 1e-12
+            aa = squared[k]
             au = ax * ux + ay * uy + az * uz
             aw = ax * wx + ay * wy + az * wz
             uw = ux * wx + uy * wy + uz * wz
@@ -91,6 +82,8 @@ def outline_to_body(
             dz = depth * uz - fz
             length = math.sqrt(dx * dx + dy * dy + dz * dz)
             r = length - (radii[k, 0] + s * (radii[k, 1] - radii[k, 0]))
+            if r * r >= best:
+                continue
             inv = 1.0 / max(length, 1e-9)
             cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) * inv
             miss = normal_cost * (1.0 - cosine)
@@ -101,27 +94,32 @@ def outline_to_body(
                 best_r = r
                 best_k = k
                 best_cos = cosine
-                best_n[0] = dx * inv
-                best_n[1] = dy * inv
-                best_n[2] = dz * inv
-                x[0] = ox + depth * ux
-                x[1] = oy + depth * uy
-                x[2] = oz + depth * uz
+                best_depth = depth
+                nx = dx * inv
+                ny = dy * inv
+                nz = dz * inv
                 taper = (radii[k, 1] - radii[k, 0]) / aa if s == along else 0.0
-                slope[0] = taper * ax
-                slope[1] = taper * ay
-                slope[2] = taper * az
         residuals[i] = best_r
         if best_k < 0:
-            cost += gain * 0.5 * scale * scale
+            cost += 0.5 * scale * scale
             continue
-        loss, weight = robust_loss(best_r, scale, gain)
+        hint = best_k
+        loss, weight = robust_loss(best_r, scale, 1.0)
         cost += loss
         weight *= max(best_cos, 0.0)
-        if weight > 1e-4 * gain:
-            for c in range(3):
-                n[c] = slope[c] - best_n[c]
-            add_row(x, n, best_r, weight, cone_joint[best_k], moving, columns, values, H, g)
+        if weight > 1e-4:
+            add_pull(
+                ox + best_depth * ux,
+                oy + best_depth * uy,
+                oz + best_depth * uz,
+                taper * axis[best_k, 0] - nx,
+                taper * axis[best_k, 1] - ny,
+                taper * axis[best_k, 2] - nz,
+                best_r,
+                weight,
+                cone_joint[best_k],
+                pulls,
+            )
     return cost
 
 
@@ -136,11 +134,9 @@ def body_to_silhouettes(
     nearest,
     first,
     shape,
-    moving,
     scale,
     gain,
-    H,
-    g,
+    pulls,
     cost_of_camera,
 ):
     """Pull flesh points that project outside a silhouette back to its nearest pixel; returns the robust cost.
@@ -149,9 +145,6 @@ def body_to_silhouettes(
     silhouette pixel.  first, shape, corner : where a camera's crop starts in it, its (height, width), and the picture
     coordinates of its first pixel.  A point that falls outside a crop is taken to the crop's border first.
     """
-    columns = np.empty(H.shape[0], np.int64)
-    values = np.empty(H.shape[0])
-    n = np.empty(3)
     cost = 0.0
     for v in range(R_cam.shape[0]):
         height = shape[v, 0]
@@ -194,13 +187,74 @@ def body_to_silhouettes(
             du /= pixels
             dw /= pixels
             metres = (pixels - 0.5) * cam2 / (0.5 * (fx + fy))
-            # The picture direction as a direction in the world: columns of the camera's axes.
-            for c in range(3):
-                n[c] = du * R_cam[v, 0, c] + dw * R_cam[v, 1, c]
             loss, weight = robust_loss(metres, scale, gain)
             own += loss
             if weight > 1e-4 * gain:
-                add_row(points[i], n, metres, weight, point_joint[i], moving, columns, values, H, g)
+                # The picture direction as a direction in the world: columns of the camera's axes.
+                add_pull(
+                    points[i, 0],
+                    points[i, 1],
+                    points[i, 2],
+                    du * R_cam[v, 0, 0] + dw * R_cam[v, 1, 0],
+                    du * R_cam[v, 0, 1] + dw * R_cam[v, 1, 1],
+                    du * R_cam[v, 0, 2] + dw * R_cam[v, 1, 2],
+                    metres,
+                    weight,
+                    point_joint[i],
+                    pulls,
+                )
         cost_of_camera[v] = own
         cost += own
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def outline_equations(
+    state, chain, moves, cones, rays, flesh_points, flesh_joint, cameras, crops, settings, H, g
+):
+    """Robust cost of a state; adds its normal equations to H (D, D) and g (D,).
+
+    chain : of the body.  cones : (start, end, radii, joint, part).  rays : (origins, directions, normals).
+    cameras : (R, t, intrinsics).  crops : (corner, nearest, first, shape).  settings : (scale, normal_cost,
+    flesh_scale, flesh_gain).
+    """
+    parent, offset, dof_joint, dof_axis, dof_column = chain
+    cone_start, cone_end, radii, cone_joint, _ = cones
+    origins, directions, normals = rays
+    R_cam, t_cam, intrinsics = cameras
+    corner, nearest, first, shape = crops
+    scale, normal_cost, flesh_scale, flesh_gain = settings
+    n_joints = parent.shape[0]
+    R = np.empty((n_joints, 3, 3))
+    t = np.empty((n_joints, 3))
+    axes = np.empty((dof_joint.shape[0], 3))
+    chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes)
+    start = np.empty_like(cone_start)
+    end = np.empty_like(cone_end)
+    place_points(cone_start, cone_joint, R, t, start)
+    place_points(cone_end, cone_joint, R, t, end)
+    flesh = np.empty_like(flesh_points)
+    place_points(flesh_points, flesh_joint, R, t, flesh)
+    pulls = np.zeros((n_joints, 7, 6))
+    residuals = np.empty(origins.shape[0])
+    cost = outline_to_body(
+        origins, directions, normals, start, end, radii, cone_joint, scale, normal_cost, pulls, residuals
+    )
+    cost_of_camera = np.zeros(R_cam.shape[0])
+    cost += body_to_silhouettes(
+        flesh,
+        flesh_joint,
+        R_cam,
+        t_cam,
+        intrinsics,
+        corner,
+        nearest,
+        first,
+        shape,
+        flesh_scale,
+        flesh_gain,
+        pulls,
+        cost_of_camera,
+    )
+    spread_pulls(pulls, parent, t, axes, dof_joint, dof_column, moves, H, g)
     return cost

@@ -7,143 +7,64 @@ import math
 import numpy as np
 from numba import njit
 
-from mocap.body._kernels import forward_kinematics
+from mocap.likelihood._pull_kernels import add_pull, chain_axes, place_points, robust_loss, spread_pulls
+
+OCCUPIED_BIT = 128  # of the packed crop
 
 
 @njit(cache=True, nogil=True)
-def chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes):
-    """Joint transforms, and the world direction of every rotation axis, axes (n_dofs, 3)."""
-    forward_kinematics(state, parent, offset, dof_joint, dof_axis, dof_column, R, t)
-    M = np.empty((3, 3))
-    for d in range(dof_joint.shape[0]):
-        j = dof_joint[d]
-        if d == 0 or dof_joint[d - 1] != j:
-            p = parent[j]
-            for r in range(3):
-                for c in range(3):
-                    if p < 0:
-                        M[r, c] = 1.0 if r == c else 0.0
-                    else:
-                        M[r, c] = R[p, r, c]
-        for r in range(3):
-            axes[d, r] = M[r, dof_axis[d]]
-        co = math.cos(state[dof_column[d]])
-        si = math.sin(state[dof_column[d]])
-        a = (dof_axis[d] + 1) % 3
-        b = (dof_axis[d] + 2) % 3
-        for r in range(3):
-            va = M[r, a]
-            vb = M[r, b]
-            M[r, a] = co * va + si * vb
-            M[r, b] = -si * va + co * vb
-
-
-@njit(cache=True, nogil=True)
-def robust_loss(residual, scale, gain):
-    """Geman-McClure cost of a residual, and its weight in the normal equations."""
-    q = residual / scale
-    s = 1.0 + q * q
-    return gain * 0.5 * scale * scale * q * q / s, gain / (s * s)
-
-
-@njit(cache=True, nogil=True)
-def add_row(x, n, residual, weight, j, moving, columns, values, H, g):
-    """Add one scalar residual whose derivative is n . dx/dstate, x rigid with joint j, to H and g.
-
-    moving : (t, axes, dof_joint, dof_column, moves), what the rotations move and about which axes.
-    """
-    t, axes, dof_joint, dof_column, moves = moving
-    k = 0
-    for c in range(3):
-        columns[k] = c
-        values[k] = n[c]
-        k += 1
-    for d in range(dof_joint.shape[0]):
-        if not moves[j, d]:
-            continue
-        q = t[dof_joint[d]]
-        rx = x[0] - q[0]
-        ry = x[1] - q[1]
-        rz = x[2] - q[2]
-        vx = axes[d, 1] * rz - axes[d, 2] * ry
-        vy = axes[d, 2] * rx - axes[d, 0] * rz
-        vz = axes[d, 0] * ry - axes[d, 1] * rx
-        columns[k] = dof_column[d]
-        values[k] = n[0] * vx + n[1] * vy + n[2] * vz
-        k += 1
-    for a in range(k):
-        wa = weight * values[a]
-        g[columns[a]] += wa * residual
-        for b in range(k):
-            H[columns[a], columns[b]] += wa * values[b]
-
-
-@njit(cache=True, nogil=True)
-def hull_to_body(
-    points,
-    normals,
-    start,
-    end,
-    radii,
-    cone_joint,
-    moving,
-    excess,
-    scale,
-    normal_cost,
-    H,
-    g,
-):
+def hull_to_body(points, normals, start, end, radii, cone_joint, excess, scale, normal_cost, pulls):
     """Pull the nearest flesh to every hull surface point; returns the robust cost.
 
     The nearest cone is chosen by distance and by the angle between the outward normals.
     """
     n_cones = start.shape[0]
-    columns = np.empty(H.shape[0], np.int64)
-    values = np.empty(H.shape[0])
-    foot = np.empty(3)
-    best_n = np.empty(3)
-    slope = np.empty(3)
-    n = np.empty(3)
     cost = 0.0
     # Bounding spheres of the cones: most are out of the question at a glance.
     middle = 0.5 * (start + end)
+    axis = end - start
     reach = np.empty(n_cones)
+    squared = np.empty(n_cones)
     for k in range(n_cones):
-        length = 0.0
-        for c in range(3):
-            length += (end[k, c] - start[k, c]) ** 2
-        reach[k] = 0.5 * math.sqrt(length) + max(radii[k, 0], radii[k, 1]) + excess
+        squared[k] = axis[k, 0] ** 2 + axis[k, 1] ** 2 + axis[k, 2] ** 2 + 1e-12
+        reach[k] = 0.5 * math.sqrt(squared[k]) + max(radii[k, 0], radii[k, 1]) + excess
+    hint = 0
     for i in range(points.shape[0]):
+        x = points[i, 0]
+        y = points[i, 1]
+        z = points[i, 2]
         best = np.inf
         best_root = np.inf
         best_r = 0.0
         best_k = -1
         best_cos = 0.0
-        for k in range(n_cones):
+        nx = 0.0
+        ny = 0.0
+        nz = 0.0
+        taper = 0.0
+        # The cone of the point before goes first: points next to each other mostly share theirs.
+        for order in range(n_cones + 1):
+            k = hint if order == 0 else order - 1
+            if order > 0 and k == hint:
+                continue
             limit = reach[k] + best_root
-            mx = points[i, 0] - middle[k, 0]
-            my = points[i, 1] - middle[k, 1]
-            mz = points[i, 2] - middle[k, 2]
+            mx = x - middle[k, 0]
+            my = y - middle[k, 1]
+            mz = z - middle[k, 2]
             if mx * mx + my * my + mz * mz > limit * limit:
                 continue
-            ax = end[k, 0] - start[k, 0]
-            ay = end[k, 1] - start[k, 1]
-            az = end[k, 2] - start[k, 2]
-            px = points[i, 0] - start[k, 0]
-            py = points[i, 1] - start[k, 1]
-            pz = points[i, 2] - start[k, 2]
-            squared = ax * ax + ay * ay + az * az + 1e-12
-            along = (px * ax + py * ay + pz * az) / squared
+            px = x - start[k, 0]
+            py = y - start[k, 1]
+            pz = z - start[k, 2]
+            along = (px * axis[k, 0] + py * axis[k, 1] + pz * axis[k, 2]) / squared[k]
             s = min(max(along, 0.0), 1.0)
-            foot[0] = start[k, 0] + s * ax
-            foot[1] = start[k, 1] + s * ay
-            foot[2] = start[k, 2] + s * az
-            dx = points[i, 0] - foot[0]
-            dy = points[i, 1] - foot[1]
-            dz = points[i, 2] - foot[2]
+            dx = px - s * axis[k, 0]
+            dy = py - s * axis[k, 1]
+            dz = pz - s * axis[k, 2]
             length = math.sqrt(dx * dx + dy * dy + dz * dz)
-            radius = radii[k, 0] + s * (radii[k, 1] - radii[k, 0])
-            r = length - radius - excess
+            r = length - (radii[k, 0] + s * (radii[k, 1] - radii[k, 0])) - excess
+            if r * r >= best:
+                continue
             inv = 1.0 / max(length, 1e-9)
             cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) * inv
             miss = normal_cost * (1.0 - cosine)
@@ -154,47 +75,183 @@ def hull_to_body(
                 best_r = r
                 best_k = k
                 best_cos = cosine
-                best_n[0] = dx * inv
-                best_n[1] = dy * inv
-                best_n[2] = dz * inv
+                nx = dx * inv
+                ny = dy * inv
+                nz = dz * inv
                 # Beside the cone the radius changes along the axis; beyond its ends it does not.
-                taper = (radii[k, 1] - radii[k, 0]) / squared if s == along else 0.0
-                slope[0] = taper * ax
-                slope[1] = taper * ay
-                slope[2] = taper * az
+                taper = (radii[k, 1] - radii[k, 0]) / squared[k] if s == along else 0.0
+        hint = best_k
         loss, weight = robust_loss(best_r, scale, 1.0)
         cost += loss
         weight *= max(best_cos, 0.0)
         if weight > 1e-4:
             # d(residual) = -(gradient of the distance) . dx: it shrinks when the flesh moves outwards.
-            for c in range(3):
-                n[c] = slope[c] - best_n[c]
-            add_row(points[i], n, best_r, weight, cone_joint[best_k], moving, columns, values, H, g)
+            add_pull(
+                x,
+                y,
+                z,
+                taper * axis[best_k, 0] - nx,
+                taper * axis[best_k, 1] - ny,
+                taper * axis[best_k, 2] - nz,
+                best_r,
+                weight,
+                cone_joint[best_k],
+                pulls,
+            )
     return cost
 
 
 @njit(cache=True, nogil=True)
-def body_to_hull(points, point_joint, nearest, outside, moving, scale, gain, H, g):
-    """Pull flesh points that stick out of the hull back to the nearest hull point; returns the robust cost."""
-    columns = np.empty(H.shape[0], np.int64)
-    values = np.empty(H.shape[0])
-    n = np.empty(3)
-    cost = 0.0
-    for i in range(points.shape[0]):
-        if not outside[i]:
-            continue
-        length = 0.0
+def sort_into_blocks(points, low, side, shape, first, rows):
+    """Rows of points (N, 3) by the cube they lie in: those of cube b are rows[first[b] : first[b + 1]].
+
+    low : (3,) m, corner of the first cube.  side : m.  shape : (3,) cubes.  first : (B + 1,), rows : (N,) filled.
+    """
+    n = points.shape[0]
+    block = np.empty(n, np.int64)
+    first[:] = 0
+    for i in range(n):
+        b = 0
         for c in range(3):
-            n[c] = points[i, c] - nearest[i, c]
-            length += n[c] * n[c]
-        length = math.sqrt(length)
+            b = b * shape[c] + min(max(math.floor((points[i, c] - low[c]) / side), 0), shape[c] - 1)
+        block[i] = b
+        first[b + 1] += 1
+    for b in range(first.shape[0] - 1):
+        first[b + 1] += first[b]
+    cursor = first[:-1].copy()
+    for i in range(n):
+        rows[cursor[block[i]]] = i
+        cursor[block[i]] += 1
+
+
+@njit(cache=True, nogil=True)
+def nearest_in_blocks(x, y, z, points, low, side, shape, first, rows):
+    """Row of the point nearest to (x, y, z); the blocks are those of `sort_into_blocks`. At least one point."""
+    u = (x - low[0]) / side
+    v = (y - low[1]) / side
+    w = (z - low[2]) / side
+    own_x = math.floor(u)
+    own_y = math.floor(v)
+    own_z = math.floor(w)
+    # How far the place lies from the nearest face of its own cube.
+    spare = min(
+        min(min(u - own_x, own_x + 1 - u), min(v - own_y, own_y + 1 - v)), min(w - own_z, own_z + 1 - w)
+    )
+    shell = max(
+        max(max(-own_x, own_x - shape[0] + 1), max(-own_y, own_y - shape[1] + 1)),
+        max(max(-own_z, own_z - shape[2] + 1), 0),
+    )
+    best = np.inf
+    row = 0
+    while True:
+        for ix in range(max(own_x - shell, 0), min(own_x + shell + 1, shape[0])):
+            at_x = abs(ix - own_x) == shell
+            for iy in range(max(own_y - shell, 0), min(own_y + shell + 1, shape[1])):
+                stride = 1 if at_x or abs(iy - own_y) == shell else max(2 * shell, 1)
+                for iz in range(own_z - shell, own_z + shell + 1, stride):
+                    if iz < 0 or iz >= shape[2]:
+                        continue
+                    b = (ix * shape[1] + iy) * shape[2] + iz
+                    for at in range(first[b], first[b + 1]):
+                        i = rows[at]
+                        dx = points[i, 0] - x
+                        dy = points[i, 1] - y
+                        dz = points[i, 2] - z
+                        square = dx * dx + dy * dy + dz * dz
+                        if square < best:
+                            best = square
+                            row = i
+        # All that was not looked at lies further than this.
+        clear = (shell + spare) * side
+        if best <= clear * clear:
+            return row
+        shell += 1
+
+
+@njit(cache=True, nogil=True)
+def body_to_hull(flesh, flesh_joint, crop, lower_m, voxel, hull_points, blocks, scale, gain, pulls):
+    """Pull flesh points that stick out of the hull back to the nearest hull point; returns the robust cost.
+
+    blocks : (low, side, shape, first, rows) of the hull points, from `sort_into_blocks`.
+    """
+    low, side, shape, first, rows = blocks
+    cost = 0.0
+    for i in range(flesh.shape[0]):
+        x = flesh[i, 0]
+        y = flesh[i, 1]
+        z = flesh[i, 2]
+        ix = math.floor((x - lower_m[0]) / voxel)
+        iy = math.floor((y - lower_m[1]) / voxel)
+        iz = math.floor((z - lower_m[2]) / voxel)
+        if (
+            0 <= ix < crop.shape[0]
+            and 0 <= iy < crop.shape[1]
+            and 0 <= iz < crop.shape[2]
+            and crop[ix, iy, iz] >= OCCUPIED_BIT
+        ):
+            continue
+        row = nearest_in_blocks(x, y, z, hull_points, low, side, shape, first, rows)
+        nx = x - hull_points[row, 0]
+        ny = y - hull_points[row, 1]
+        nz = z - hull_points[row, 2]
+        length = math.sqrt(nx * nx + ny * ny + nz * nz)
         if length < 1e-9:
             continue
-        for c in range(3):
-            n[c] /= length
         loss, weight = robust_loss(length, scale, gain)
         cost += loss
-        add_row(points[i], n, length, weight, point_joint[i], moving, columns, values, H, g)
+        add_pull(x, y, z, nx / length, ny / length, nz / length, length, weight, flesh_joint[i], pulls)
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def surface_equations(
+    state, chain, moves, cones, hull, flesh_points, flesh_joint, may_meet, volume, settings, H, g
+):
+    """Robust cost of a state; adds its normal equations to H (D, D) and g (D,).
+
+    chain : of the body.  cones : (start, end, radii, joint, part).  hull : (points, normals, all surface
+    points, their blocks).
+    volume : (crop, lower_m, voxel).  settings : (excess, scale, normal_cost, flesh_scale, flesh_gain,
+    penetration_gain).
+    """
+    parent, offset, dof_joint, dof_axis, dof_column = chain
+    cone_start, cone_end, radii, cone_joint, cone_part = cones
+    points, normals, all_points, blocks = hull
+    crop, lower_m, voxel = volume
+    excess, scale, normal_cost, flesh_scale, flesh_gain, penetration_gain = settings
+    n_joints = parent.shape[0]
+    R = np.empty((n_joints, 3, 3))
+    t = np.empty((n_joints, 3))
+    axes = np.empty((dof_joint.shape[0], 3))
+    chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes)
+    start = np.empty_like(cone_start)
+    end = np.empty_like(cone_end)
+    place_points(cone_start, cone_joint, R, t, start)
+    place_points(cone_end, cone_joint, R, t, end)
+    flesh = np.empty_like(flesh_points)
+    place_points(flesh_points, flesh_joint, R, t, flesh)
+    pulls = np.zeros((n_joints, 7, 6))
+    cost = hull_to_body(points, normals, start, end, radii, cone_joint, excess, scale, normal_cost, pulls)
+    cost += body_to_hull(
+        flesh, flesh_joint, crop, lower_m, voxel, all_points, blocks, flesh_scale, flesh_gain, pulls
+    )
+    if penetration_gain > 0.0:
+        moving = (t, axes, dof_joint, dof_column, moves)
+        cost += self_penetration(
+            flesh,
+            flesh_joint,
+            may_meet,
+            start,
+            end,
+            radii,
+            cone_joint,
+            cone_part,
+            moving,
+            penetration_gain,
+            H,
+            g,
+        )
+    spread_pulls(pulls, parent, t, axes, dof_joint, dof_column, moves, H, g)
     return cost
 
 

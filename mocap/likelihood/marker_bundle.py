@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mocap.body.markers import Markers
 from mocap.body.model import Body
 from mocap.body.stretch import segment_groups, stretch_body
-from mocap.likelihood._surface_kernels import chain_axes
+from mocap.likelihood._pull_kernels import chain_axes
 from mocap.likelihood.markers import MarkerFitProblem, MarkerFitSettings, MarkerObservation
 from mocap.likelihood.surface import dof_moves_joint
 

@@ -27,7 +27,7 @@ from mocap.likelihood._marker_kernels import (
     nearest_detections,
     project_markers,
 )
-from mocap.likelihood._surface_kernels import chain_axes
+from mocap.likelihood._pull_kernels import chain_axes
 from mocap.likelihood.surface import dof_moves_joint
 
 Array = NDArray[np.float64]

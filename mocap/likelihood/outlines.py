@@ -16,8 +16,7 @@ from mocap.body.flesh import LookUpTable
 from mocap.body.model import Body
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.problem import StateLayout
-from mocap.likelihood._outline_kernels import body_to_silhouettes, outline_to_body
-from mocap.likelihood._surface_kernels import chain_axes
+from mocap.likelihood._outline_kernels import outline_equations
 from mocap.likelihood.surface import dof_moves_joint, flesh_sample
 
 Array = NDArray[np.float64]
@@ -286,44 +285,24 @@ class OutlineProblem:
         H, g = np.zeros((D, D)), np.zeros(D)
         if o.n_points == 0:
             return 0.0, H, g
-        J = len(body.joints)
-        R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
-        chain_axes(state, *body.chain, R, t, axes)
-        joint = body.cones.joint
-        start = np.einsum("krc,kc->kr", R[joint], body.cones.start) + t[joint]
-        end = np.einsum("krc,kc->kr", R[joint], body.cones.end) + t[joint]
-        moving = (t, axes, body.dof_joint, body.dof_column, self._moves)
-        cost = outline_to_body(
-            o.origins,
-            o.directions,
-            o.normals,
-            start,
-            end,
-            body.cones.radii,
-            joint,
-            moving,
-            settings.scale_m,
-            settings.normal_cost_m,
-            1.0,
-            H,
-            g,
-            np.empty(o.n_points),
-        )
-        flesh = np.einsum("mrc,mc->mr", R[self._flesh_joint], self._flesh) + t[self._flesh_joint]
         n_used = max(1, int((o.shape[:, 0] > 0).sum()))
-        cost += body_to_silhouettes(
-            flesh,
+        cost = outline_equations(
+            np.ascontiguousarray(state, dtype=np.float64),
+            body.chain,
+            self._moves,
+            body.cones.kernel_arrays,
+            (o.origins, o.directions, o.normals),
+            self._flesh,
             self._flesh_joint,
-            *self._cameras,
-            o.corner,
-            o.nearest,
-            o.first,
-            o.shape,
-            moving,
-            settings.flesh_scale_m,
-            settings.flesh_gain * o.n_points / (len(flesh) * n_used),
+            self._cameras,
+            (o.corner, o.nearest, o.first, o.shape),
+            (
+                settings.scale_m,
+                settings.normal_cost_m,
+                settings.flesh_scale_m,
+                settings.flesh_gain * o.n_points / (len(self._flesh) * n_used),
+            ),
             H,
             g,
-            np.zeros(len(self._cameras[0])),
         )
         return float(cost), H, g

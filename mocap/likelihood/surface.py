@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from mocap.body.flesh import LookUpTable
 from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
@@ -15,19 +14,18 @@ from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.voxels import VoxelGrid, Voxels
 from mocap.likelihood._surface_kernels import (
-    body_to_hull,
-    chain_axes,
     distance_to_cones,
-    hull_to_body,
-    self_penetration,
     share_within,
+    sort_into_blocks,
+    surface_equations,
     surface_normals,
 )
-from mocap.likelihood.voxels import OCCUPIED_BIT, PackedVolume
+from mocap.likelihood.voxels import PackedVolume
 
 Array = NDArray[np.float64]
 
 _APART_M = 0.03
+_BLOCK_VOXELS = 4  # side of the cubes in which the nearest hull point is looked for
 _NORMAL_RADIUS_VOXELS = 2  # neighbourhood of the hull's normals: five voxels wide
 
 
@@ -59,8 +57,15 @@ class HullSurface:
     volume: PackedVolume
 
     @cached_property
-    def tree(self) -> cKDTree:
-        return cKDTree(self.points)
+    def blocks(self) -> tuple[Array, float, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """The points by cubes, as the kernels look for the nearest in them."""
+        side = _BLOCK_VOXELS * self.volume.grid.voxel_size_m
+        low = self.points.min(axis=0)
+        shape = np.floor((self.points.max(axis=0) - low) / side).astype(np.int64) + 1
+        first = np.empty(int(shape.prod()) + 1, dtype=np.int64)
+        rows = np.empty(len(self.points), dtype=np.int64)
+        sort_into_blocks(self.points, low, side, shape, first, rows)
+        return low, side, shape, first, rows
 
 
 def hull_surface(
@@ -156,63 +161,28 @@ class SurfaceProblem:
         H, g = np.zeros((D, D)), np.zeros(D)
         if len(self._points) == 0:
             return 0.0, H, g
-        J = len(body.joints)
-        R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
-        chain_axes(state, *body.chain, R, t, axes)
-        joint = body.cones.joint
-        start = np.einsum("krc,kc->kr", R[joint], body.cones.start) + t[joint]
-        end = np.einsum("krc,kc->kr", R[joint], body.cones.end) + t[joint]
-        moving = (t, axes, body.dof_joint, body.dof_column, self._moves)
-        voxel = volume.grid.voxel_size_m
-        cost = hull_to_body(
-            self._points,
-            self._normals,
-            start,
-            end,
-            body.cones.radii,
-            joint,
-            moving,
-            0.5 * voxel,
-            settings.scale_m,
-            settings.normal_cost_m,
+        per_flesh = len(self._points) / len(self._flesh)
+        cost = surface_equations(
+            np.ascontiguousarray(state, dtype=np.float64),
+            body.chain,
+            self._moves,
+            body.cones.kernel_arrays,
+            (self._points, self._normals, self.hull.points, self.hull.blocks),
+            self._flesh,
+            self._flesh_joint,
+            self._may_meet,
+            (volume.crop, volume.lower_m, volume.grid.voxel_size_m),
+            (
+                0.5 * volume.grid.voxel_size_m,
+                settings.scale_m,
+                settings.normal_cost_m,
+                settings.flesh_scale_m,
+                settings.flesh_gain * per_flesh,
+                settings.penetration_gain * per_flesh,
+            ),
             H,
             g,
         )
-        flesh = np.einsum("mrc,mc->mr", R[self._flesh_joint], self._flesh) + t[self._flesh_joint]
-        cell = np.floor((flesh - volume.lower_m) / voxel).astype(np.int64)
-        inside = np.all((cell >= 0) & (cell < np.array(volume.crop.shape)), axis=1)
-        cell[~inside] = 0
-        is_out = ~inside | (volume.crop[cell[:, 0], cell[:, 1], cell[:, 2]] < OCCUPIED_BIT)
-        if is_out.any():
-            nearest = flesh.copy()
-            _, row = self.hull.tree.query(flesh[is_out])
-            nearest[is_out] = self.hull.points[row]
-            cost += body_to_hull(
-                flesh,
-                self._flesh_joint,
-                nearest,
-                is_out,
-                moving,
-                settings.flesh_scale_m,
-                settings.flesh_gain * len(self._points) / len(flesh),
-                H,
-                g,
-            )
-        if settings.penetration_gain > 0:
-            cost += self_penetration(
-                flesh,
-                self._flesh_joint,
-                self._may_meet,
-                start,
-                end,
-                body.cones.radii,
-                joint,
-                body.cones.part,
-                moving,
-                settings.penetration_gain * len(self._points) / len(flesh),
-                H,
-                g,
-            )
         return float(cost), H, g
 
     def unexplained(self, state: Array, distance_m: float) -> Array:

@@ -269,9 +269,9 @@ def test_compiled_and_plain_python_agree(
     state = bent(flesh) + 0.03
     fast = problem_of(flesh, few, settings).normal_equations(state)
     module = "mocap.likelihood.outlines."
-    monkeypatch.setattr(kernels, "add_row", kernels.add_row.py_func)
-    monkeypatch.setattr(module + "outline_to_body", kernels.outline_to_body.py_func)
-    monkeypatch.setattr(module + "body_to_silhouettes", kernels.body_to_silhouettes.py_func)
+    for name in ("add_pull", "spread_pulls", "outline_to_body", "body_to_silhouettes"):
+        monkeypatch.setattr(kernels, name, getattr(kernels, name).py_func)
+    monkeypatch.setattr(module + "outline_equations", kernels.outline_equations.py_func)
     slow = problem_of(flesh, few, settings).normal_equations(state)
     assert fast[0] == pytest.approx(slow[0], rel=1e-12)
     assert np.allclose(fast[1], slow[1], rtol=1e-9)
