@@ -6,6 +6,7 @@ from mocap.likelihood.appearance import (
     colour_bins_of_voxels,
     new_appearance,
 )
+from mocap.likelihood.body_fit import BodyFit
 from mocap.likelihood.combine import SumProblem
 from mocap.likelihood.fast import fast_part_scores
 from mocap.likelihood.marker_bundle import Bundle, BundleSettings, bundle_markers, point_jacobian
@@ -53,6 +54,7 @@ from mocap.likelihood.voxels import (
 
 __all__ = [
     "Appearance",
+    "BodyFit",
     "Bundle",
     "BundleSettings",
     "ColourProblem",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache, cached_property
 
 import cv2
 import numpy as np
@@ -57,12 +58,13 @@ class PinholeView:
     maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     inside: Mask
 
-    def undistort(self, mask: Mask) -> NDArray[np.uint8]:
-        """A mask (H, W) as the pinhole sees it, 0 or 1."""
+    def undistort(self, mask: Mask, window: tuple[slice, slice] | None = None) -> NDArray[np.uint8]:
+        """A mask (H, W) as the pinhole sees it, 0 or 1.  window : rows and columns wanted, None = all."""
         image = mask.view(np.uint8)
+        wanted = window or (slice(None), slice(None))
         if self.maps is None:
-            return image
-        return cv2.remap(image, self.maps[0], self.maps[1], cv2.INTER_NEAREST)
+            return image[wanted]
+        return cv2.remap(image, self.maps[0][wanted], self.maps[1][wanted], cv2.INTER_NEAREST)
 
 
 def pinhole_view(camera: Camera) -> PinholeView:
@@ -195,7 +197,7 @@ def _camera_outline(
     low = np.maximum(pixels.min(axis=0) - _MARGIN_PX, 0)
     high = np.minimum(pixels.max(axis=0) + _MARGIN_PX + 1, [width, height])
     window = slice(low[1], high[1]), slice(low[0], high[0])
-    crop = np.ascontiguousarray(view.undistort(mask)[window])
+    crop = np.ascontiguousarray(view.undistort(mask, window))
     if not crop.any():
         return None
     h, w = crop.shape
@@ -275,22 +277,12 @@ class OutlineProblem:
         """Outline points used."""
         return self.outlines.n_points
 
-    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
-        """Robust cost, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,).
-
-        Units: metres squared, summed over the outline points. No outlines give zeros.
-        """
-        body, settings, o = self.body, self.settings, self.outlines
-        D = body.layout.n_columns
-        H, g = np.zeros((D, D)), np.zeros(D)
-        if o.n_points == 0:
-            return 0.0, H, g
+    @cached_property
+    def kernel_arguments(self) -> tuple[object, ...]:
+        """What `outline_equations` takes after the body."""
+        settings, o = self.settings, self.outlines
         n_used = max(1, int((o.shape[:, 0] > 0).sum()))
-        cost = outline_equations(
-            np.ascontiguousarray(state, dtype=np.float64),
-            body.chain,
-            self._moves,
-            body.cones.kernel_arrays,
+        return (
             (o.origins, o.directions, o.normals),
             self._flesh,
             self._flesh_joint,
@@ -302,7 +294,40 @@ class OutlineProblem:
                 settings.flesh_scale_m,
                 settings.flesh_gain * o.n_points / (len(self._flesh) * n_used),
             ),
+        )
+
+    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
+        """Robust cost, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,).
+
+        Units: metres squared, summed over the outline points. No outlines give zeros.
+        """
+        body, o = self.body, self.outlines
+        D = body.layout.n_columns
+        H, g = np.zeros((D, D)), np.zeros(D)
+        if o.n_points == 0:
+            return 0.0, H, g
+        cost = outline_equations(
+            np.ascontiguousarray(state, dtype=np.float64),
+            body.chain,
+            self._moves,
+            body.cones.kernel_arrays,
+            *self.kernel_arguments,
             H,
             g,
         )
         return float(cost), H, g
+
+
+@cache
+def no_outline_arguments() -> tuple[object, ...]:
+    """`OutlineProblem.kernel_arguments` where there are no outlines."""
+    row, index = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    return (
+        (row, row, row),
+        row,
+        index,
+        (np.zeros((0, 3, 3)), row, np.zeros((0, 8))),
+        (pairs, np.zeros(0, dtype=np.int32), index, pairs),
+        (1.0, 1.0, 1.0, 0.0),
+    )

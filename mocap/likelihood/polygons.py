@@ -57,11 +57,7 @@ def _arguments(tree: PolygonTree, parts: Sequence[int] | None) -> tuple[NDArray[
     scored = np.arange(P) if parts is None else np.asarray(parts, dtype=np.int64).reshape(-1)
     if np.any((scored < 0) | (scored >= P)):
         raise ValueError(f"parts: expected indices 0 to {P - 1}, got {scored.tolist()}")
-    needed = np.zeros(P, dtype=np.bool_)
-    needed[scored] = True
-    for p in range(P - 1, -1, -1):
-        if needed[p] and tree.layout.parent_of_part[p] >= 0:
-            needed[tree.layout.parent_of_part[p]] = True
+    needed: NDArray[np.bool_] = np.logical_or.reduce(tree.is_ancestor[scored], axis=0)
     return scored, needed
 
 

@@ -60,8 +60,12 @@ class HullSurface:
     def blocks(self) -> tuple[Array, float, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """The points by cubes, as the kernels look for the nearest in them."""
         side = _BLOCK_VOXELS * self.volume.grid.voxel_size_m
-        low = self.points.min(axis=0)
-        shape = np.floor((self.points.max(axis=0) - low) / side).astype(np.int64) + 1
+        low, high = (
+            (self.points.min(axis=0), self.points.max(axis=0))
+            if len(self.points)
+            else (np.zeros(3), np.zeros(3))
+        )
+        shape = np.floor((high - low) / side).astype(np.int64) + 1
         first = np.empty(int(shape.prod()) + 1, dtype=np.int64)
         rows = np.empty(len(self.points), dtype=np.int64)
         sort_into_blocks(self.points, low, side, shape, first, rows)
@@ -114,14 +118,14 @@ class SurfaceProblem:
 
     Hull surface points pull the nearest flesh whose normal agrees; flesh points in empty voxels are pulled to the
     nearest hull point; flesh points inside another part are pushed out of it. The hull contains the body, so its
-    surface lies outside the flesh: half a voxel is allowed for.
+    surface lies outside the flesh: half a voxel is allowed for.  moves : (J, n_dofs), of `dof_moves_joint`.
     """
 
     body: Body
     table: LookUpTable
     hull: HullSurface
     settings: SurfaceFitSettings
-    _moves: NDArray[np.bool_] = field(init=False, repr=False)
+    moves: NDArray[np.bool_] = field(init=False, repr=False)
     _points: Array = field(init=False, repr=False)
     _normals: Array = field(init=False, repr=False)
     _flesh: Array = field(init=False, repr=False)
@@ -134,7 +138,7 @@ class SurfaceProblem:
         flesh, joint, part = flesh_sample(table, self.settings.n_flesh_points)
         for name, value in (
             ("_may_meet", _parts_apart_at_rest(self.body, flesh, joint, part)),
-            ("_moves", dof_moves_joint(self.body)),
+            ("moves", dof_moves_joint(self.body)),
             ("_points", np.ascontiguousarray(self.hull.points[::every])),
             ("_normals", np.ascontiguousarray(self.hull.normals[::every])),
             ("_flesh", flesh),
@@ -151,35 +155,45 @@ class SurfaceProblem:
         """Hull points used."""
         return len(self._points)
 
-    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
-        """Robust cost, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,).
-
-        Units: metres squared, summed over the hull points used. An empty hull gives zeros.
-        """
-        body, settings, volume = self.body, self.settings, self.hull.volume
-        D = body.layout.n_columns
-        H, g = np.zeros((D, D)), np.zeros(D)
-        if len(self._points) == 0:
-            return 0.0, H, g
+    @cached_property
+    def kernel_arguments(self) -> tuple[object, ...]:
+        """What `surface_equations` takes after the body."""
+        settings, volume = self.settings, self.hull.volume
+        voxel = volume.grid.voxel_size_m
         per_flesh = len(self._points) / len(self._flesh)
-        cost = surface_equations(
-            np.ascontiguousarray(state, dtype=np.float64),
-            body.chain,
-            self._moves,
-            body.cones.kernel_arrays,
-            (self._points, self._normals, self.hull.points, self.hull.blocks),
+        blocks = self.hull.blocks
+        return (
+            (self._points, self._normals, self.hull.points, blocks),
             self._flesh,
             self._flesh_joint,
             self._may_meet,
-            (volume.crop, volume.lower_m, volume.grid.voxel_size_m),
+            (volume.crop, volume.lower_m, voxel),
             (
-                0.5 * volume.grid.voxel_size_m,
+                0.5 * voxel,
                 settings.scale_m,
                 settings.normal_cost_m,
                 settings.flesh_scale_m,
                 settings.flesh_gain * per_flesh,
                 settings.penetration_gain * per_flesh,
             ),
+        )
+
+    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
+        """Robust cost, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,).
+
+        Units: metres squared, summed over the hull points used. An empty hull gives zeros.
+        """
+        body = self.body
+        D = body.layout.n_columns
+        H, g = np.zeros((D, D)), np.zeros(D)
+        if len(self._points) == 0:
+            return 0.0, H, g
+        cost = surface_equations(
+            np.ascontiguousarray(state, dtype=np.float64),
+            body.chain,
+            self.moves,
+            body.cones.kernel_arrays,
+            *self.kernel_arguments,
             H,
             g,
         )

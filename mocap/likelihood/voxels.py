@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -18,11 +17,13 @@ from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
 from mocap.data.voxels import VoxelGrid
 from mocap.likelihood._kernels import Box, Segments, part_scores_kernel
+from mocap.threads import worker_threads
 
 Array = NDArray[np.float64]
 
 SURFACE_MAX = 127  # bits 0-6 of a packed voxel
 OCCUPIED_BIT = 128  # bit 7
+_MIN_CHUNK = 32  # states for a thread of their own
 
 
 @dataclass(frozen=True)
@@ -170,15 +171,14 @@ def chosen_parts(
 
 
 def run_chunks(score: Callable[[int, int], None], n: int, n_threads: int) -> None:
-    """Call score(first, last) so that 0..n is covered, on several threads."""
-    n_chunks = min(n_threads, n)
+    """Call score(first, last) so that 0..n is covered, on several threads when that pays."""
+    n_chunks = min(n_threads, n // _MIN_CHUNK)
     if n_chunks <= 1:
         score(0, n)
         return
     edges = np.linspace(0, n, n_chunks + 1).astype(int)
-    with ThreadPoolExecutor(n_chunks) as pool:
-        for job in [pool.submit(score, a, b) for a, b in itertools.pairwise(edges)]:
-            job.result()
+    for job in [worker_threads(n_chunks).submit(score, a, b) for a, b in itertools.pairwise(edges)]:
+        job.result()
 
 
 def _counts_to_scores(counts: NDArray[np.int64], size: Array, size_surface: Array) -> PartScores:

@@ -13,7 +13,7 @@ from mocap.body import Body, candidate_states
 from mocap.filters import ApfSettings, ParticleState, apf_step, initial_particles
 from mocap.likelihood import Appearance
 from mocap.pipeline.limbs import recover_limbs
-from mocap.pipeline.pose_problem import FrameProblem, PersonHull, PoseTools
+from mocap.pipeline.pose_problem import FrameProblem, PersonHull, PoseTools, PreparedHull
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class PoseSearch:
     """
 
     tools: PoseTools
-    hull: PersonHull
+    hull: PersonHull | PreparedHull
     frame: int
     walking_xy: Array | None
     appearance: Appearance | None = None
@@ -51,6 +51,12 @@ class PoseSearch:
     @cached_property
     def problem(self) -> FrameProblem:
         return self.tools.frame(self.hull, self.appearance)
+
+    @property
+    def voxels(self) -> NDArray[np.int32]:
+        """The person's voxels."""
+        hull = self.hull.hull if isinstance(self.hull, PreparedHull) else self.hull
+        return hull.voxels
 
     @property
     def heading(self) -> float | None:
@@ -93,7 +99,7 @@ class PoseSearch:
     ) -> FirstPose:
         """A short filter from some particles, refined."""
         problem = self.problem.coarse if is_brief else self.problem
-        _, info = apf_step(problem.voxels, start, settings, rng=rng)
+        _, info = apf_step(problem.search, start, settings, rng=rng)
         found = [info.estimate, problem.refined(info.estimate, 5 if is_brief else 12)]
         values = self.score(np.stack(found)) - problem.misfit(found)
         top = int(values.argmax())
@@ -107,10 +113,10 @@ def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[Fir
     """
     body = search.tools.body
     yaws: Array = np.arange(16, dtype=np.float64) * (2 * np.pi / 16) + (search.heading or 0.0)
-    centers = search.tools.grid.centers(search.hull.voxels)
+    centers = search.tools.grid.centers(search.voxels)
     candidates, labels = candidate_states(body, centers, yaws)
     copies = np.repeat(candidates, _SEARCH_COPIES, axis=0)
-    copies = search.problem.voxels.propagate(copies, search.std, rng=rng)
+    copies = search.problem.search.propagate(copies, search.std, rng=rng)
     copies[::_SEARCH_COPIES] = candidates
     value = search.score(copies).reshape(len(candidates), _SEARCH_COPIES)
     copies = copies.reshape(len(candidates), _SEARCH_COPIES, -1)
@@ -134,7 +140,7 @@ def settle_first_poses(
         behind = [f for f in tried if np.cos(f.state[yaw] - tried[0].state[yaw]) < 0]
         chosen += [f for f in behind[:3] if f not in chosen]
     thorough = ApfSettings(n_layers=8, n_particles=200, std=search.std, alpha=0.6)
-    problem = search.problem.voxels
+    problem = search.problem.search
     found = [
         search.attempt(initial_particles(problem, f.state, 2), f.label, thorough, is_brief=False, rng=rng)
         for f in chosen

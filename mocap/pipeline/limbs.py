@@ -95,8 +95,8 @@ def recover_limbs(
     def bonus(particles: Array, limb: list[int]) -> Array:
         return np.sum([term(particles, limb) for term in terms], axis=0)
 
-    found, scouted = scout_limbs(frame.voxels, state, settings, rng=rng, bonus=bonus if terms else None)
-    candidates = [state, *(frame.refined(s, 6) for s in scouted.alternatives)]
+    found, scouted = scout_limbs(frame.search, state, settings, rng=rng, bonus=bonus if terms else None)
+    candidates = [state, *frame.all_refined(list(scouted.alternatives), 6)]
     if scouted.accepted:
         candidates += [found, frame.refined(found)]
     if len(candidates) == 1:

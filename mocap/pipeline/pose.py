@@ -31,11 +31,19 @@ from mocap.pipeline.first_pose import (
     walking_velocity,
 )
 from mocap.pipeline.limbs import Lookout, recover_limbs
-from mocap.pipeline.pose_problem import MIN_VOXELS, FrameProblem, HullOf, PoseTools, is_usable
+from mocap.pipeline.pose_problem import (
+    MIN_VOXELS,
+    FrameProblem,
+    HullOf,
+    PoseTools,
+    PreparedHull,
+    is_usable,
+)
 from mocap.pipeline.repair import repair_limbs
 from mocap.pipeline.rescue import Rescue, rescue_pose
 from mocap.pipeline.rng import rng_for
 from mocap.pipeline.sizing import fit_size, resized_tools
+from mocap.threads import worker_threads
 
 Array = NDArray[np.float64]
 
@@ -153,9 +161,8 @@ def filter_frames(
     nothing = np.zeros((tools.body.layout.n_columns,) * 2)
     rescue = Rescue()
     lookout = Lookout()
-    for i in order:
-        hull = hull_of(int(frames[i]))
-        if hull is None or len(hull.voxels) < MIN_VOXELS:
+    for i, seen in _hulls_ahead(tools, frames, hull_of, order):
+        if seen is None:
             blind_std += float(tools.noise_std[0])
             n_blind += 1
             yield FramePose(
@@ -173,8 +180,8 @@ def filter_frames(
                 ess_share=float("nan"),
             )
             continue
-        frame = tools.frame(hull, None if looks is None else looks.appearance)
-        problem = frame.voxels
+        frame = tools.frame(seen, None if looks is None else looks.appearance)
+        problem = frame.search
         if particles is None:
             particles = initial_particles(problem, estimate, settings.n_particles)
         shift = xyz[i] - last_xyz
@@ -194,12 +201,12 @@ def filter_frames(
         estimate = point_estimate(tools.body, particles, info, tools.pose.estimate)
         spread = _landmark_covariance(tools.body, particles, estimate)
         if tools.pose.refine:
-            candidates = [estimate, frame.refined(estimate)]
+            starts = [estimate]
             if previous is not None:
                 carried = previous.copy()
                 carried[:3] += shift
-                candidates.append(frame.refined(carried))
-            estimate = frame.best(candidates)
+                starts.append(carried)
+            estimate = frame.best([estimate, *frame.all_refined(starts)])
         value = float(frame.evidence([estimate])[0])
         if tools.pose.scouts:
             before = value
@@ -211,7 +218,7 @@ def filter_frames(
         if tools.pose.scouts and (has_returned or rescue.is_due(i, value)):
             velocity = walking_velocity(frames, xyz, i, tools.fps)
             search = PoseSearch(
-                tools, hull, int(frames[i]), velocity, None if looks is None else looks.appearance
+                tools, seen, int(frames[i]), velocity, None if looks is None else looks.appearance
             )
             # Who was away may stand and face anyhow: all that is known is where.
             saved = (
@@ -244,6 +251,28 @@ def filter_frames(
             evidence=value,
             ess_share=float(info.ess[-1]) / len(particles.weights),
         )
+
+
+def _hulls_ahead(
+    tools: PoseTools, frames: NDArray[np.int64], hull_of: HullOf, order: Sequence[int]
+) -> Iterator[tuple[int, PreparedHull | None]]:
+    """Rows in order with their hulls, None where it is not usable; with several threads the next one is made ready
+    while a frame is worked on.
+    """
+
+    def prepare(row: int) -> PreparedHull | None:
+        hull = hull_of(int(frames[row]))
+        return None if hull is None or not is_usable(hull) else tools.prepared(hull)
+
+    if tools.n_threads <= 1:
+        yield from ((row, prepare(row)) for row in order)
+        return
+    pool = worker_threads(tools.n_threads)
+    rows = list(order)
+    coming = [pool.submit(prepare, row) for row in rows[:1]]
+    for k, row in enumerate(rows):
+        coming += [pool.submit(prepare, after) for after in rows[k + 1 : k + 2]]
+        yield row, coming.pop(0).result()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, LookUpTable, load_body_model, scale_body
 from mocap.data import VoxelGrid
-from mocap.data.problem import ResidualProblem
-from mocap.filters import RefineSettings, refine
+from mocap.filters import RefineSettings
 from mocap.likelihood import (
     Appearance,
+    BodyFit,
     ColourProblem,
+    HullSurface,
     OutlineFitSettings,
     OutlineProblem,
     Outlines,
     PackedVolume,
-    SumProblem,
     SurfaceFitSettings,
     SurfaceProblem,
     VoxelLikelihoodSettings,
@@ -70,6 +70,16 @@ def pack_volume(grid: VoxelGrid, hull: PersonHull, surface_sigma_voxels: float) 
 
 
 @dataclass(frozen=True, eq=False)
+class PreparedHull:
+    """A hull with all that is made of it before a pose is looked for."""
+
+    hull: PersonHull
+    volume: PackedVolume
+    surface: HullSurface
+    outlines: Outlines | None
+
+
+@dataclass(frozen=True, eq=False)
 class PoseTools:
     """What stays the same for one person over a clip."""
 
@@ -93,20 +103,26 @@ class PoseTools:
         is_position = np.arange(self.body.layout.n_columns) < 3
         return RefineSettings(prior_std=np.where(is_position, 0.1, 0.5), n_iterations=n_iterations)
 
-    def frame(self, hull: PersonHull, appearance: Appearance | None = None) -> FrameProblem:
-        """What poses are judged by in the frame of a hull.  appearance : what is known of the person's colours."""
+    def prepared(self, hull: PersonHull) -> PreparedHull:
+        """What of a frame depends on nothing but its hull."""
         volume = pack_volume(self.grid, hull, self.pose.surface_sigma_voxels)
         surface = hull_surface(hull.voxels, hull.is_surface, self.grid, volume)
         with_outlines = hull.outlines is not None and self.pose.outline_weight > 0
         outlines = hull.outlines() if hull.outlines is not None and with_outlines else None
+        return PreparedHull(hull, volume, surface, outlines)
+
+    def frame(self, hull: PersonHull | PreparedHull, appearance: Appearance | None = None) -> FrameProblem:
+        """What poses are judged by in the frame of a hull.  appearance : what is known of the person's colours."""
+        known = hull if isinstance(hull, PreparedHull) else self.prepared(hull)
+        exact = replace(self.likelihood, kind="exact")
         return FrameProblem(
             tools=self,
-            voxels=VoxelProblem(self.body, self.table, volume, self.likelihood, n_threads=self.n_threads),
-            surface=SurfaceProblem(self.body, self.table, surface, self.fit),
+            voxels=VoxelProblem(self.body, self.table, known.volume, exact, n_threads=self.n_threads),
+            surface=SurfaceProblem(self.body, self.table, known.surface, self.fit),
             outlines=None
-            if outlines is None
-            else OutlineProblem(self.body, self.table, outlines, self.outline_fit),
-            colours=self._colours(hull, appearance),
+            if known.outlines is None
+            else OutlineProblem(self.body, self.table, known.outlines, self.outline_fit),
+            colours=self._colours(known.hull, appearance),
         )
 
     def _colours(self, hull: PersonHull, appearance: Appearance | None) -> ColourProblem | None:
@@ -131,18 +147,22 @@ class FrameProblem:
     colours: ColourProblem | None = None
 
     @cached_property
+    def search(self) -> VoxelProblem:
+        """The likelihood that proposes poses, of the kind that is configured; `voxels` judges them, always exact."""
+        return replace(self.voxels, settings=self.tools.likelihood)
+
+    @cached_property
     def posture(self) -> Posture:
         """Where limbs usually point."""
         return usual_posture(self.tools.body)
 
     @cached_property
-    def fit(self) -> SumProblem:
+    def fit(self) -> BodyFit:
         """The residuals of hull surface and outlines together, per hull point."""
-        terms: list[tuple[float, ResidualProblem]] = [(self.tools.pose.surface_weight, self.surface)]
-        if self.outlines is not None and self.outlines.n_points:
-            share = self.surface.n_points / self.outlines.n_points
-            terms.append((self.tools.pose.outline_weight * share, self.outlines))
-        return SumProblem(tuple(terms))
+        pose = self.tools.pose
+        n_outline = self.outlines.n_points if self.outlines is not None else 0
+        share = self.surface.n_points / n_outline if n_outline else 0.0
+        return BodyFit(self.surface, self.outlines, pose.surface_weight, pose.outline_weight * share)
 
     @cached_property
     def coarse(self) -> FrameProblem:
@@ -176,7 +196,23 @@ class FrameProblem:
 
     def refined(self, state: Array, n_iterations: int = 12) -> Array:
         """A state (D,) moved to a nearby minimum of the residuals."""
-        return refine(self.fit, state, self.tools.refine_settings(n_iterations))[0]
+        return self.all_refined([state], n_iterations)[0]
+
+    def all_refined(self, states: Sequence[Array], n_iterations: int = 12) -> list[Array]:
+        """Each of several states (D,) moved to a nearby minimum of the residuals."""
+        if not len(states):
+            return []
+        settings = self.tools.refine_settings(n_iterations)
+        return list(
+            self.fit.descended(
+                np.stack(list(states)),
+                prior_std=settings.prior_std,
+                residual_std_m=settings.residual_std_m,
+                n_iterations=settings.n_iterations,
+                tolerance=settings.tolerance,
+                n_threads=self.tools.n_threads,
+            )
+        )
 
 
 def make_tools(

@@ -65,7 +65,7 @@ def rescue_pose(search: PoseSearch, state: Array, good: Array | None, *, rng: np
     facing = 0.0 if yaw is None else float(state[yaw])
     if search.heading is not None and np.cos(facing - search.heading) < 0.5:
         facing = search.heading
-    starts, _ = candidate_states(body, search.tools.grid.centers(search.hull.voxels), np.array([facing]))
+    starts, _ = candidate_states(body, search.tools.grid.centers(search.voxels), np.array([facing]))
     states = [*starts, state]
     if good is not None:
         moved = good.copy()
@@ -73,7 +73,7 @@ def rescue_pose(search: PoseSearch, state: Array, good: Array | None, *, rng: np
         if yaw is not None:
             moved[yaw] = facing
         states.append(moved)
-    problem = search.problem.voxels
+    problem = search.problem.search
     brief = ApfSettings(n_layers=4, n_particles=80, std=0.5 * search.std, alpha=0.5)
     thorough = ApfSettings(n_layers=6, n_particles=200, std=0.5 * search.std, alpha=0.6)
     tried = [

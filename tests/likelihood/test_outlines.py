@@ -6,13 +6,24 @@ import cv2
 import numpy as np
 import pytest
 from flesh_voxels import Flesh
+from outline_world import (
+    ANGLES_DEG,
+    N_POINTS,
+    H,
+    W,
+    bent,
+    landmark_cloud,
+    make_rig,
+    outlines_of,
+    problem_of,
+    silhouette,
+)
 
-from mocap.body import cones_of, landmarks_of, neutral_state
-from mocap.data import Camera, CameraRig
+from mocap.body import cones_of, landmarks_of
+from mocap.data import CameraRig
 from mocap.filters import RefineSettings, refine
 from mocap.likelihood import (
     OutlineFitSettings,
-    OutlineProblem,
     Outlines,
     SumProblem,
     person_outlines,
@@ -20,73 +31,9 @@ from mocap.likelihood import (
 )
 from mocap.likelihood import _outline_kernels as kernels
 
-W, H = 200, 160
-FOCAL = 150.0
-ANGLES_DEG = (10.0, 80.0, 155.0, 230.0, 300.0)
-N_POINTS = 60
 STEP = 1e-6
 # A pixel is 2 cm wide at the person: half of it is the most an exact outline may miss.
 PIXEL_M = 0.021
-
-
-def make_rig(dist: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)) -> CameraRig:
-    cameras = []
-    for i, angle in enumerate(np.deg2rad(ANGLES_DEG)):
-        eye = np.array([2.9 * np.cos(angle), 2.9 * np.sin(angle), 1.2 + 0.2 * (i % 3)])
-        forward = np.array([0.0, 0.0, 0.9]) - eye
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        R = np.stack([right, np.cross(forward, right), forward])
-        K = np.array([[FOCAL, 0.0, W / 2], [0.0, FOCAL, H / 2], [0.0, 0.0, 1.0]])
-        cameras.append(Camera(f"c{i}", (W, H), K, np.array(dist), R, -R @ eye))
-    return CameraRig(tuple(cameras))
-
-
-def silhouette(flesh: Flesh, state: np.ndarray, camera: Camera) -> np.ndarray:
-    """Pixels whose ray passes a ball of the flesh: cones filled with closely spaced balls."""
-    start, end = cones_of(flesh.body, state)
-    u, v = np.meshgrid(np.arange(W), np.arange(H))
-    rays = camera.rays(np.stack([u, v], axis=-1).astype(np.float64)).reshape(-1, 3)
-    mask = np.zeros(len(rays), dtype=np.bool_)
-    for a, b, (ra, rb) in zip(start, end, flesh.body.cones.radii, strict=True):
-        for s in np.linspace(0.0, 1.0, 12):
-            centre = a + s * (b - a) - camera.center
-            across = (centre @ centre) - (rays @ centre) ** 2
-            mask |= across <= (ra + s * (rb - ra)) ** 2
-    return mask.reshape(H, W)
-
-
-def bent(flesh: Flesh) -> np.ndarray:
-    state = neutral_state(flesh.body)
-    names = flesh.body.layout.names
-    for name, value in (
-        ("root_yaw", 0.6),
-        ("right_shoulder_x", 0.5),
-        ("left_shoulder_x", -0.7),
-        ("left_elbow_z", -0.8),
-        ("right_hip_y", -0.5),
-        ("right_knee_y", 0.7),
-    ):
-        state[names.index(name)] = value
-    return state
-
-
-def outlines_of(
-    flesh: Flesh, state: np.ndarray, rig: CameraRig, other: np.ndarray | None = None, scale: int = N_POINTS
-) -> Outlines:
-    masks = [silhouette(flesh, state, c) for c in rig]
-    points = landmark_cloud(flesh, state)
-    return person_outlines([pinhole_view(c) for c in rig], rig, masks, points, other, n_points=scale)
-
-
-def landmark_cloud(flesh: Flesh, state: np.ndarray) -> np.ndarray:
-    """Points all over the body, as a hull's surface would be."""
-    start, end = cones_of(flesh.body, state)
-    s = np.linspace(0.0, 1.0, 9)[:, None, None]
-    axis = (start + s * (end - start)).reshape(-1, 3)
-    rng = np.random.default_rng(0)
-    return np.concatenate([axis + 0.06 * rng.normal(size=axis.shape) for _ in range(12)])
 
 
 @pytest.fixture(scope="module")
@@ -97,12 +44,6 @@ def rig() -> CameraRig:
 @pytest.fixture(scope="module")
 def seen(flesh: Flesh, rig: CameraRig) -> Outlines:
     return outlines_of(flesh, bent(flesh), rig)
-
-
-def problem_of(
-    flesh: Flesh, outlines: Outlines, settings: OutlineFitSettings | None = None
-) -> OutlineProblem:
-    return OutlineProblem(flesh.body, flesh.table, outlines, settings or OutlineFitSettings())
 
 
 def residuals(flesh: Flesh, outlines: Outlines, state: np.ndarray) -> np.ndarray:

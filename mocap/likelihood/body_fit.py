@@ -1,0 +1,84 @@
+"""Hull surface and outlines together: what the refinement of a pose minimises."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data.problem import StateLayout
+from mocap.likelihood._fit_kernels import descend, fit_equations
+from mocap.likelihood.outlines import OutlineProblem, no_outline_arguments
+from mocap.likelihood.surface import SurfaceProblem
+from mocap.threads import in_parallel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyFit:
+    """The weighted sum of the residuals of hull surface and outlines: a residual problem with a fast descent.
+
+    outlines : None without masks.
+    """
+
+    surface: SurfaceProblem
+    outlines: OutlineProblem | None
+    surface_weight: float = 1.0
+    outline_weight: float = 1.0
+
+    @property
+    def layout(self) -> StateLayout:
+        return self.surface.layout
+
+    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
+        """Robust cost, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,), m^2 summed over points."""
+        D = self.layout.n_columns
+        H, g, H_part, g_part = np.empty((D, D)), np.empty(D), np.empty((D, D)), np.empty(D)
+        x = np.ascontiguousarray(state, dtype=np.float64)
+        cost = fit_equations(x, *self._arguments(), H, g, H_part, g_part)
+        return float(cost), H, g
+
+    def descended(
+        self,
+        states: Array,
+        *,
+        prior_std: Array,
+        residual_std_m: float,
+        n_iterations: int,
+        tolerance: float,
+        n_threads: int = 1,
+    ) -> Array:
+        """Each of the states (K, D) moved to a nearby minimum of the cost plus a Gaussian prior at its start.
+
+        The arguments are those of `filters.RefineSettings`; `filters.refine` says the same in numpy, one state
+        after the other. The result does not depend on n_threads.
+        """
+        layout = self.layout
+        prior = (residual_std_m / prior_std) ** 2
+        moved = np.array(states, dtype=np.float64, order="C", ndmin=2)
+        bounds = layout.lower, layout.upper, layout.is_circular
+
+        def job(rows: slice) -> None:
+            descend(moved[rows], *self._arguments(), *bounds, prior, n_iterations, tolerance)
+
+        in_parallel(
+            job, [slice(k, len(moved), n_threads) for k in range(min(n_threads, len(moved)))], n_threads
+        )
+        return moved
+
+    def _arguments(self) -> tuple[object, ...]:
+        """What the kernels take after the state."""
+        surface, outlines = self.surface, self.outlines
+        has_outlines = outlines is not None and outlines.n_points > 0
+        return (
+            (surface.body.chain, surface.moves, surface.body.cones.kernel_arrays),
+            surface.kernel_arguments,
+            outlines.kernel_arguments if outlines is not None and has_outlines else no_outline_arguments(),
+            (
+                self.surface_weight if surface.n_points else 0.0,
+                self.outline_weight if has_outlines else 0.0,
+            ),
+        )

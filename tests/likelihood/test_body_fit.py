@@ -1,0 +1,92 @@
+"""The compiled descent against its twin in numpy, the sum against its terms, and what is missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flesh_voxels import Flesh
+from outline_world import bent, make_rig, outlines_of, problem_of
+
+from mocap.filters import RefineSettings, refine
+from mocap.likelihood import BodyFit, SumProblem, SurfaceFitSettings, SurfaceProblem, hull_surface
+from mocap.likelihood import _fit_kernels as kernels
+from mocap.pipeline.pose_problem import pack_volume
+
+
+@pytest.fixture(scope="module")
+def fit(flesh: Flesh) -> BodyFit:
+    """Hull surface and outlines of a bent body; the hull is its own flesh."""
+    state = bent(flesh)
+    hull = flesh.hull(state)
+    volume = pack_volume(flesh.grid, hull, 1.0)
+    surface = hull_surface(hull.voxels, hull.is_surface, flesh.grid, volume)
+    outlines = outlines_of(flesh, state, make_rig())
+    return BodyFit(
+        SurfaceProblem(flesh.body, flesh.table, surface, SurfaceFitSettings()),
+        problem_of(flesh, outlines),
+        0.8,
+        2.5,
+    )
+
+
+def starts(flesh: Flesh) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    return bent(flesh) + 0.1 * rng.normal(size=(5, flesh.body.layout.n_columns))
+
+
+def test_the_sum_is_that_of_its_terms(flesh: Flesh, fit: BodyFit) -> None:
+    assert fit.outlines is not None
+    both = SumProblem(((0.8, fit.surface), (2.5, fit.outlines)))
+    for state in starts(flesh):
+        for a, b in zip(fit.normal_equations(state), both.normal_equations(state), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("n_threads", [1, 3])
+@pytest.mark.parametrize("n_iterations", [1, 12])
+def test_the_descent_is_that_of_its_twin(
+    flesh: Flesh, fit: BodyFit, n_threads: int, n_iterations: int
+) -> None:
+    layout = flesh.body.layout
+    std = np.where(np.arange(layout.n_columns) < 3, 0.1, 0.5)
+    settings = RefineSettings(prior_std=std, n_iterations=n_iterations)
+    expected = [refine(fit, state, settings)[0] for state in starts(flesh)]
+    found = fit.descended(
+        starts(flesh),
+        prior_std=std,
+        residual_std_m=settings.residual_std_m,
+        n_iterations=n_iterations,
+        tolerance=settings.tolerance,
+        n_threads=n_threads,
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+    costs = [fit.normal_equations(s)[0] for s in found]
+    before = [fit.normal_equations(np.clip(s, layout.lower, layout.upper))[0] for s in starts(flesh)]
+    assert np.mean(costs) < np.mean(before)
+    assert np.all((found >= layout.lower) & (found <= layout.upper))
+
+
+def test_without_outlines_or_hull_the_rest_counts(flesh: Flesh, fit: BodyFit) -> None:
+    state = starts(flesh)[0]
+    alone = BodyFit(fit.surface, None, 1.0, 7.0)
+    np.testing.assert_allclose(alone.normal_equations(state)[1], fit.surface.normal_equations(state)[1])
+    nothing = replace(fit.surface.hull, points=np.zeros((0, 3)), normals=np.zeros((0, 3)))
+    empty = replace(fit.surface, hull=nothing)
+    assert BodyFit(empty, None).normal_equations(state)[0] == 0.0
+    assert fit.outlines is not None
+    only = BodyFit(empty, fit.outlines, 1.0, 2.0).normal_equations(state)
+    np.testing.assert_allclose(only[2], 2.0 * fit.outlines.normal_equations(state)[2])
+
+
+def test_the_step_solves_the_damped_equations_in_the_free_columns() -> None:
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(30, 9))
+    H, g = J.T @ J, rng.normal(size=9)
+    free = np.array([1, 1, 0, 1, 0, 1, 1, 1, 0], dtype=np.bool_)
+    for solve in (kernels.damped_step, kernels.damped_step.py_func):
+        step = np.full(9, 7.0)
+        assert solve(H, g, 0.2, free, np.zeros((9, 9)), step)
+        A = (H + 0.2 * np.diag(np.diag(H)))[np.ix_(free, free)]
+        np.testing.assert_allclose(step[free], -np.linalg.solve(A, g[free]), rtol=1e-9)
+        assert not step[~free].any()
+        assert not solve(-H, g, 0.0, free, np.zeros((9, 9)), step)
