@@ -3,7 +3,7 @@
 from mocap.body.files import body_toml, model_of
 from mocap.body.flesh import LookUpTable, build_look_up_table
 from mocap.body.hierarchy import hierarchy_presets, limb_presets, load_hierarchy, load_limbs
-from mocap.body.initial import HeightEstimate, candidate_states, head_top, height_from_tops
+from mocap.body.initial import HeightEstimate, candidate_states, head_top, height_from_tops, is_upright
 from mocap.body.kinematics import (
     cones_of,
     joint_transforms,
@@ -26,6 +26,7 @@ __all__ = [
     "head_top",
     "height_from_tops",
     "hierarchy_presets",
+    "is_upright",
     "joint_transforms",
     "landmarks_of",
     "limb_presets",

@@ -13,8 +13,13 @@ from mocap.body.model import Body
 
 Array = NDArray[np.float64]
 
-# A hull whose top stays below this is a person who sits, crouches or lies: no height can be read from it.
+# A hull whose top stays below this is a child, or a person who sits, crouches or lies: unless it is as slender as
+# somebody who stands, no height can be read from it.
 LOWEST_STANDING_TOP_M = 1.45
+_LOWEST_CHILD_TOP_M = 0.7
+# Volume over top cubed: 0.017 to 0.027 for hulls of people who stand, children too; 0.042 and more for people who sit.
+_SLENDER = 0.032
+_FEET_M = 0.15  # a hull that begins higher above the floor is cut off, by a table perhaps
 HIGHEST_STANDING_TOP_M = 2.20
 DEFAULT_HEIGHT_M = 1.72
 _HEAD_SEARCH_M = 0.9
@@ -111,20 +116,37 @@ def head_top(centers: Array, voxel_size_m: float) -> float:
     return top + 0.5 * voxel_size_m
 
 
-def height_from_tops(tops_m: Array, voxel_size_m: float) -> HeightEstimate:
+def is_upright(centers: Array, voxel_size_m: float) -> bool:
+    """Whether one person's hull is as slender as somebody who stands, of whatever size, and reaches the floor.
+
+    centers : (N, 3) m, voxel centres.
+    """
+    top = head_top(centers, voxel_size_m)
+    if not top > 0 or float(np.quantile(centers[:, 2], 0.002)) > _FEET_M:
+        return False
+    return len(centers) * voxel_size_m**3 < _SLENDER * top**3
+
+
+def height_from_tops(
+    tops_m: Array, voxel_size_m: float, upright: NDArray[np.bool_] | None = None
+) -> HeightEstimate:
     """Standing height from the highest point of a person's hull in each frame.
 
     tops_m : (T,) upper face of the highest voxel, m; NaN where the person was not seen. The 90th percentile is taken,
     because a walking person is at full height only in mid-stance and a speck may ride above the head, less
     half a voxel, the mean excess of a hull whose voxels count when their centre is inside.
+    upright : (T,) of `is_upright`; a top as low as a child's counts as a height when most of the frames near it are.
     Source: CF 6.3.4 (limb lengths proportional to the height, which comes from the volume).
     """
     tops = np.asarray(tops_m, dtype=np.float64)
-    tops = tops[np.isfinite(tops)]
-    if tops.size == 0:
+    is_seen = np.isfinite(tops)
+    if not is_seen.any():
         return HeightEstimate(DEFAULT_HEIGHT_M, False)
-    top = float(np.quantile(tops, 0.9))
-    if not LOWEST_STANDING_TOP_M <= top <= HIGHEST_STANDING_TOP_M:
+    top = float(np.quantile(tops[is_seen], 0.9))
+    lowest = LOWEST_STANDING_TOP_M
+    if upright is not None and upright[is_seen & (tops > 0.95 * top)].mean() > 0.5:
+        lowest = _LOWEST_CHILD_TOP_M
+    if not lowest <= top <= HIGHEST_STANDING_TOP_M:
         return HeightEstimate(DEFAULT_HEIGHT_M, False)
     return HeightEstimate(top - 0.5 * voxel_size_m, True)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body import Body, head_top, height_from_tops, landmarks_of
+from mocap.body import Body, head_top, height_from_tops, is_upright, landmarks_of
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, VoxelGrid
 from mocap.filters import FILTERS, ParticleState, initial_particles
@@ -92,12 +92,14 @@ class PersonPoses:
 def estimate_height(grid: VoxelGrid, hull_of: HullOf, frames: Sequence[int]) -> HeightEstimate:
     """Standing height from the heads of a person's hulls, in at most 60 frames spread over the clip."""
     chosen = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, 60).astype(int))]
-    tops = []
+    tops, upright = [], []
     for frame in chosen:
         hull = hull_of(frame)
         if hull is not None and len(hull.voxels) >= MIN_VOXELS:
-            tops.append(head_top(grid.centers(hull.voxels), grid.voxel_size_m))
-    return height_from_tops(np.array(tops), grid.voxel_size_m)
+            centers = grid.centers(hull.voxels)
+            tops.append(head_top(centers, grid.voxel_size_m))
+            upright.append(is_upright(centers, grid.voxel_size_m))
+    return height_from_tops(np.array(tops), grid.voxel_size_m, np.array(upright, dtype=np.bool_))
 
 
 @dataclass

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flesh_voxels import Flesh, rasterise
+from flesh_voxels import Flesh, make_flesh, rasterise
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,6 +15,7 @@ from mocap.body import (
     cones_of,
     head_top,
     height_from_tops,
+    is_upright,
     joint_transforms,
     landmarks_of,
     load_body_model,
@@ -183,6 +184,32 @@ def test_standing_height_from_tops() -> None:
         guess = height_from_tops(bad, 0.02)
         assert not guess.is_measured
         assert guess.height_m == DEFAULT_HEIGHT_M
+
+
+def test_a_child_who_stands_is_told_from_an_adult_who_sits_or_is_cut_off() -> None:
+    """A hull is a voxel wider than the body, so the flesh here is made with that margin."""
+    child, adult = make_flesh("anthropometric", 1.15, 0.02), make_flesh("anthropometric", 1.72, 0.02)
+    small = child.grid.centers(child.hull(neutral_state(child.body), margin_m=0.02).voxels)
+    standing = adult.hull(neutral_state(adult.body), margin_m=0.02)
+    states, labels = candidate_states(adult.body, adult.grid.centers(standing.voxels), np.zeros(1))
+    sitting = adult.grid.centers(adult.hull(states[labels.index("sit")], margin_m=0.02).voxels)
+    large = adult.grid.centers(standing.voxels)
+    assert is_upright(small, 0.02)
+    assert is_upright(large, 0.02)
+    assert not is_upright(sitting - [0.0, 0.0, sitting[:, 2].min()], 0.02)
+    # Behind a table only the upper half is seen: as slender as a child, but it does not reach the floor.
+    above = large[large[:, 2] > 0.7]
+    assert len(above) * 0.02**3 < 0.032 * head_top(above, 0.02) ** 3
+    assert not is_upright(above, 0.02)
+    assert not is_upright(np.zeros((0, 3)), 0.02)
+
+
+def test_low_tops_count_only_when_the_frames_near_them_are_upright() -> None:
+    tops = np.array([np.nan, 0.8, 1.16, 1.18, 1.2, 1.2])
+    for upright, is_measured in (([0, 0, 1, 1, 1, 1], True), ([1, 1, 0, 0, 1, 0], False)):
+        estimate = height_from_tops(tops, 0.02, np.array(upright, dtype=np.bool_))
+        assert estimate.is_measured == is_measured
+        assert estimate.height_m == pytest.approx(1.19 if is_measured else DEFAULT_HEIGHT_M)
 
 
 def test_candidates_lie_over_the_hull_and_are_legal(flesh: Flesh) -> None:
