@@ -494,6 +494,13 @@ def follow_person(
             f"person {person}: in {n_crowded} of {T} frames the body explains less than {100 - 100 * _CROWDED:.0f} % "
             "of the volume, as when others or things are in it or few cameras see the person; poses are uncertain there"
         )
+    seldom = _seldom_observed(observed, log_likelihood)
+    if seldom:
+        warnings.append(
+            f"person {person}: {', '.join(seldom)} lie in the volume in less than half of the frames: it has holes "
+            "there, or the pose is wrong. Remedy: look at the masks in the report; clothes or skin of the colour of "
+            "the background leave holes"
+        )
     if not height.is_measured:
         warnings.append(
             f"person {person}: the standing height could not be read from the volume; "
@@ -580,6 +587,14 @@ def motion_numbers(poses: PersonPoses, fps: float) -> dict[str, float | None]:
         "jitter_m_s3": None if jitter is None else round(jitter, 1),
         "observed_percent": round(100.0 * float(poses.observed.mean()), 1),
     }
+
+
+def _seldom_observed(observed: NDArray[np.bool_], log_likelihood: Array) -> list[str]:
+    """Landmarks that were observed (T, 15) in less than half of the frames that had a usable volume."""
+    usable = np.isfinite(log_likelihood)
+    if not usable.any():
+        return []
+    return [name for name, share in zip(LANDMARKS, observed[usable].mean(axis=0), strict=True) if share < 0.5]
 
 
 def _landmark_covariance(body: Body, particles: ParticleState, estimate: Array) -> Array:

@@ -11,7 +11,13 @@ from mocap.body import landmarks_of, neutral_state
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
-from mocap.pipeline.pose import PersonPoses, estimate_height, filter_frames, follow_person
+from mocap.pipeline.pose import (
+    PersonPoses,
+    _seldom_observed,
+    estimate_height,
+    filter_frames,
+    follow_person,
+)
 from mocap.pipeline.pose_problem import (
     CROP_MARGIN_M,
     PersonHull,
@@ -187,6 +193,16 @@ def test_the_height_is_read_from_the_hulls() -> None:
     height = estimate_height(w.flesh.grid, w.hull_of, [int(f) for f in w.frames])
     assert height.is_measured
     assert height.height_m == pytest.approx(1.74 + VOXEL_M, abs=0.03)
+
+
+def test_landmarks_that_are_seldom_in_the_volume_are_named() -> None:
+    observed = np.ones((9, len(LANDMARKS)), dtype=np.bool_)
+    observed[:, 4] = [1, 1, 1, 1, 0, 0, 0, 0, 0]  # in four of the nine frames, two of which had no volume
+    observed[:, 7] = [1, 1, 1, 1, 1, 0, 0, 0, 0]
+    value = np.array([-1.0, -2.0, np.nan, -3.0, -1.0, -1.0, -1.0, -1.0, np.nan])
+    assert _seldom_observed(observed, np.zeros(9)) == [LANDMARKS[4]]
+    assert _seldom_observed(observed, value) == [LANDMARKS[4]]
+    assert _seldom_observed(observed[2:3] & False, value[2:3]) == []
 
 
 def test_no_usable_hull_is_an_error() -> None:
