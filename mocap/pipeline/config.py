@@ -99,7 +99,8 @@ class LikelihoodConfig(_Section):
     """Voxel likelihood (CF 6.5)."""
 
     kind: Literal["exact", "fast"] = "exact"
-    """All points of the body's look-up table, or a sample of them and overlaps from tables: a third of the time."""
+    """All points of the body's look-up table, or a sample of them and overlaps from tables: a third of the time. It
+    proposes poses; where they are refined, what is kept is judged with all points."""
     n_points: int = Field(default=200, ge=20, le=5000)
     """Points per part of the fast kind."""
     factorised: bool = True
