@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from eval.tracking import blobs as B
 from eval.tracking import hulls as H
 from eval.tracking.trees import as_split, n_leaves, verdicts, write_tree
+from mocap.tracking import read_person_tree
 
 RESULTS = Path(__file__).with_name("results")
 TREE = H.ROOT / "mocap" / "tracking" / "person_tree.toml"
@@ -239,6 +240,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if name != "Decision tree":
                 score(name, classify(z), features)
     score("Decision tree", verdicts(split, test.features), "raw")
+    if TREE.exists():
+        score("tree that is shipped", verdicts(read_person_tree(TREE), test.features), "raw")
     score("tree set by hand", verdicts(PERSON_TREE, test.features), "raw")
     for kind, _ in B.kinds_of(test):
         is_kind = test.kind == kind

@@ -247,13 +247,15 @@ _SCORE_ROWS = (
 
 
 def _say_scores(scores: dict[str, Any]) -> None:
-    if scores.get("mean_error_mm") is None:
+    if scores.get("tracks_only"):
+        typer.echo("Scores against the truth, of the tracks alone:")
+    elif scores.get("mean_error_mm") is None:
         typer.echo("Scores against the truth: nobody of the truth was found, so there is no error to give.")
     else:
         typer.echo("Scores against the truth:")
     for key, words, unit in _SCORE_ROWS:
         value = scores.get(key)
-        if value is None:
+        if value is None or (key == "epsilon_mm" and scores.get("tracks_only")):
             continue
         text = f"{value:.2f}" if key == "volume_iou" else f"{value:.1f}"
         typer.echo(f"  {words:<34} {text:>8} {unit}")
@@ -500,6 +502,7 @@ _MORE_ROWS = (
     ("epsilon_search.by_r2_mm", "natural epsilon (R2 of Q-Q line)", "mm"),
     ("acceleration_error_m_s2", "acceleration error", "m/s2"),
     ("hota_percent", "HOTA, tracking", "%"),
+    ("idf1_percent", "IDF1, identities", "%"),
     ("image.mean_error_px", "error in the pictures", "px"),
     ("image.mmta_percent", "MMTA in the pictures", "%"),
 )
@@ -513,6 +516,9 @@ def _say_comparison(scores: dict[str, Any]) -> None:
             value = None if value is None else value.get(key)
         if value is not None:
             typer.echo(f"  {words:<36} {value:>6.1f} {unit}")
+    if scores.get("tracks_only"):
+        counts = ("misses", "false_positives", "mismatches")
+        typer.echo("  " + ", ".join(f"{scores[k]} {k.replace('_', ' ')}" for k in counts))
     if (limbs := scores["lost_limbs"]) and limbs["f1"] is not None:
         typer.echo(f"  {'F1 of lost limbs':<36} {limbs['f1']:>6.2f}")
     for label, row in (scores["per_action"] or {}).items():

@@ -63,6 +63,8 @@ def _over(lines: Sequence[Line], path: Path, x: str, label: str) -> None:
         axes[row, 0].set_ylabel(score)
         low = min(a.get_ylim()[0] for a in axes[row])
         high = max(a.get_ylim()[1] for a in axes[row])
+        if score.startswith("MOTA"):
+            high = min(high, 100.5)
         for a in axes[row]:
             a.set_ylim(low, high)
     axes[0, -1].legend(fontsize=7)

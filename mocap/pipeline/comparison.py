@@ -32,6 +32,7 @@ from mocap.metrics.detail import LEARN_SHARE
 from mocap.metrics.image import EPSILON_PX
 from mocap.metrics.volume import VolumeScores
 from mocap.pipeline.scoring import frames_of_run, lost_limbs, volume_overlap
+from mocap.pipeline.track_comparison import lacks_poses, score_tracks
 
 if TYPE_CHECKING:
     from mocap.view.report import Figure
@@ -102,9 +103,14 @@ def compare(estimate: Path, truth: Path, options: CompareOptions | None = None) 
 
     The keys of the scores are those of `mocap.metrics.evaluate`, those of `detailed_scores`, and `estimate`, `truth`,
     `notes` and `warnings`, which say how the two were read and matched.
+    Where a folder has tracks.csv and no landmarks.csv, tracks alone are scored, and `tracks_only` is true.
     Raises MocapError for a file that cannot be read, and when the two have no frame or no landmark in common.
     """
     options = CompareOptions() if options is None else options
+    if lacks_poses(Path(estimate), Path(truth)):
+        scores, found, goal = score_tracks(Path(estimate), Path(truth), options)
+        scores["estimate"], scores["truth"] = _said_of(found), _said_of(goal)
+        return Comparison(scores, (), found, goal, options)
     sides = _with_map(options)
     goal = _truth_side(Path(truth), sides["truth"])
     found = _estimate_side(Path(estimate), sides["estimate"])
@@ -479,7 +485,9 @@ def _other_world(scores: dict[str, Any]) -> str | None:
 
 def _said_of(side: Side) -> dict[str, Any]:
     reading = side.reading
-    frames = _all_frames(side)
+    frames, n_persons = _all_frames(side), len(side.motions)
+    if not side.motions and side.tracks is not None:
+        frames, n_persons = np.unique(side.tracks.frame), len(side.tracks.persons)
     return {
         "path": str(side.path),
         "format": reading.format,
@@ -488,7 +496,7 @@ def _said_of(side: Side) -> dict[str, Any]:
         "fps": None if reading.fps is None else round(reading.fps, 3),
         "skeleton": reading.skeleton,
         "landmarks": list(reading.landmarks),
-        "persons": len(side.motions),
+        "persons": n_persons,
         "frames": len(frames),
         "first_frame": int(frames[0]) if len(frames) else None,
         "last_frame": int(frames[-1]) if len(frames) else None,

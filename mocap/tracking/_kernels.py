@@ -93,31 +93,82 @@ def ellipsoid_distances(points, centers, axes, out):
 
 
 @njit(cache=True, nogil=True)
-def count_votes(points, component_of, centers, axes, exclusive, every):
+def extent(points):
+    """Smallest and largest coordinates, (3,) m each, of points (N, 3); N > 0. numpy is slow over rows of three."""
+    low, high = points[0].copy(), points[0].copy()
+    for i in range(1, points.shape[0]):
+        for j in range(3):
+            if points[i, j] < low[j]:
+                low[j] = points[i, j]
+            elif points[i, j] > high[j]:
+                high[j] = points[i, j]
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def is_apart(centre, half, k, lower, upper):
+    """Whether a box of half sides half about centre, (3,) m each, and that of component k have no point in common."""
+    for i in range(3):
+        # A hair's breadth for what the edges of an ellipsoid may gain by rounding.
+        reach = half[i] + 1e-9
+        if centre[i] + reach < lower[k, i] or centre[i] - reach > upper[k, i]:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def count_votes(points, order, start, lower, upper, centers, axes, exclusive, every):
     """Voxels of each component inside each ellipsoid, (T, K): in no other ellipsoid, and in all of it.
 
-    points : (N, 3) m.  component_of : (N,) int, negative = nobody's.  centers, axes : (T, 3) m.
+    points : (N, 3) m.  order, start, lower, upper : of the components, as in `Components`.
+    centers, axes : (T, 3) m.
     """
     n_tracks = centers.shape[0]
     scale = 1.0 / axes
-    for i in range(points.shape[0]):
-        k = component_of[i]
-        if k < 0:
-            continue
-        n_inside, last = 0, -1
+    near = np.empty(n_tracks, dtype=np.int64)
+    for k in range(start.shape[0] - 1):
+        n_near = 0
         for t in range(n_tracks):
-            x = (points[i, 0] - centers[t, 0]) * scale[t, 0]
-            y = (points[i, 1] - centers[t, 1]) * scale[t, 1]
-            flat = x * x + y * y
-            if flat > 1.0:
-                continue
-            z = (points[i, 2] - centers[t, 2]) * scale[t, 2]
-            if flat + z * z <= 1.0:
-                every[t, k] += 1
-                n_inside += 1
-                last = t
-        if n_inside == 1:
-            exclusive[last, k] += 1
+            if not is_apart(centers[t], axes[t], k, lower, upper):
+                near[n_near] = t
+                n_near += 1
+        if n_near == 0:
+            continue
+        for place in range(start[k], start[k + 1]):
+            i = order[place]
+            n_inside, last = 0, -1
+            for j in range(n_near):
+                t = near[j]
+                x = (points[i, 0] - centers[t, 0]) * scale[t, 0]
+                y = (points[i, 1] - centers[t, 1]) * scale[t, 1]
+                flat = x * x + y * y
+                if flat > 1.0:
+                    continue
+                z = (points[i, 2] - centers[t, 2]) * scale[t, 2]
+                if flat + z * z <= 1.0:
+                    every[t, k] += 1
+                    n_inside += 1
+                    last = t
+            if n_inside == 1:
+                exclusive[last, k] += 1
+
+
+@njit(cache=True, nogil=True)
+def rows_in_box(points, order, start, lower, upper, low, high, out):
+    """Rows of the voxels of all components strictly between low and high, (2,) m, in x and y; returns how many.
+
+    points, order, start, lower, upper : as of count_votes.  out : (N,) int64, component by component.
+    """
+    n = 0
+    for k in range(start.shape[0] - 1):
+        if low[0] >= upper[k, 0] or high[0] <= lower[k, 0] or low[1] >= upper[k, 1] or high[1] <= lower[k, 1]:
+            continue
+        for place in range(start[k], start[k + 1]):
+            i = order[place]
+            if low[0] < points[i, 0] < high[0] and low[1] < points[i, 1] < high[1]:
+                out[n] = i
+                n += 1
+    return n
 
 
 @njit(cache=True, nogil=True)
@@ -132,6 +183,14 @@ def colour_bins(rgb, has_colour, n_bins, out):
             red = min(max(((r - luma) * 11682 + (128 << 14) + 8192) >> 14, 0), 255)
             blue = min(max(((b - luma) * 9241 + (128 << 14) + 8192) >> 14, 0), 255)
             out[i] = ((luma * n_bins >> 8) * n_bins + (blue * n_bins >> 8)) * n_bins + (red * n_bins >> 8)
+
+
+@njit(cache=True, nogil=True)
+def mark_similar(histogram, threshold, bit, byte_of):
+    """Set a bit of byte_of (n + 1,) uint8 after the first one, of all bins of a histogram (n,) from threshold on."""
+    for i in range(histogram.shape[0]):
+        if histogram[i] >= threshold:
+            byte_of[i + 1] |= bit
 
 
 @njit(cache=True, nogil=True)
@@ -211,60 +270,92 @@ def overlap_shares(particles, radius, min_height, side, lower, below, out):
 def colour_shares(particles, radius, min_height, points, bins, root_reference, out):
     """Bhattacharyya coefficient of the reference and the colours in each particle's ellipsoid, (P,). CF Eq. 4.10.
 
-    points : (M, 3) m and bins : (M,) of the voxels with a colour.  root_reference : (n_bins,) square root of the
-    reference histogram.  An ellipsoid without a coloured voxel gives 0.
+    points : (M, 3) m and bins : (M,) of the voxels with a colour; it is fast where the voxels of a column follow one
+    another in ascending z.  root_reference : (n_bins,) square root of the reference histogram.  An ellipsoid without
+    a coloured voxel gives 0.
     """
-    count = np.zeros(root_reference.shape[0], dtype=np.int32)
-    touched = np.empty(points.shape[0], dtype=np.int32)
+    n_points = points.shape[0]
+    # Numbers of the colours that there are, and first point of each column.
+    number = np.full(root_reference.shape[0], -1, dtype=np.int32)
+    colour = np.empty(n_points, dtype=np.int32)
+    root = np.empty(n_points)
+    first = np.empty(n_points + 1, dtype=np.int64)
+    n_colours, n_columns = 0, 0
+    for i in range(n_points):
+        if number[bins[i]] < 0:
+            number[bins[i]] = n_colours
+            root[n_colours] = root_reference[bins[i]]
+            n_colours += 1
+        colour[i] = number[bins[i]]
+        is_next = i > 0 and points[i, 0] == points[i - 1, 0] and points[i, 1] == points[i - 1, 1]
+        if not (is_next and points[i, 2] >= points[i - 1, 2]):
+            first[n_columns] = i
+            n_columns += 1
+    first[n_columns] = n_points
+    count = np.zeros(n_colours, dtype=np.int64)
+    r2 = radius * radius
     for p in range(particles.shape[0]):
-        r2 = radius * radius
         h = max(particles[p, 2], min_height)
-        n, n_touched = 0, 0
-        for i in range(points.shape[0]):
-            dx = points[i, 0] - particles[p, 0]
-            dy = points[i, 1] - particles[p, 1]
+        n = 0
+        for c in range(n_columns):
+            start, end = first[c], first[c + 1]
+            dx = points[start, 0] - particles[p, 0]
+            dy = points[start, 1] - particles[p, 1]
             flat = (dx * dx + dy * dy) / r2
             if flat > 1.0:
                 continue
-            dz = (points[i, 2] - particles[p, 2]) / h
-            if flat + dz * dz <= 1.0:
-                b = bins[i]
-                if count[b] == 0:
-                    touched[n_touched] = b
-                    n_touched += 1
-                count[b] += 1
-                n += 1
+            # What is inside of a column is one piece: its ends are sought from below and from above.
+            while start < end and flat + ((points[start, 2] - particles[p, 2]) / h) ** 2 > 1.0:
+                start += 1
+            while start < end and flat + ((points[end - 1, 2] - particles[p, 2]) / h) ** 2 > 1.0:
+                end -= 1
+            n += end - start
+            for i in range(start, end):
+                count[colour[i]] += 1
         total = 0.0
-        for j in range(n_touched):
-            b = touched[j]
-            total += root_reference[b] * math.sqrt(count[b] / n)
-            count[b] = 0
+        for b in range(n_colours):
+            if count[b]:
+                total += root[b] * math.sqrt(count[b] / n)
+                count[b] = 0
         out[p] = total
 
 
 @njit(cache=True, nogil=True)
-def fill_crop(points, bins, is_similar, lower, side, crop):
+def fill_crop(points, order, start, lower, upper, bins, byte_of, corner, side, crop):
     """Write what is known of each voxel into the bits of a crop (nx, ny, nz) uint8 of zeros.
 
-    points : (N, 3) m.  bins : (N,) int, negative = no colour.  is_similar : (n_bins,) bool, colours of the target.
-    lower : (3,) m, lower corner of the crop.
+    points : (N, 3) m.  order, start, lower, upper : of the components, as in `Components`.
+    bins : (N,) int, -1 = no colour; (0,) = no colours at all.  byte_of : (n_bins + 1,) uint8, what is written of a
+    voxel without a colour and of one in each bin.  corner : (3,) m, lower corner of the crop.
     """
     nx, ny, nz = crop.shape
     scale = 1.0 / side
-    for i in range(points.shape[0]):
-        # Positive numbers only are cut off at the point: that is ten times faster than to round down.
-        x = (points[i, 0] - lower[0]) * scale
-        if x < 0.0 or x >= nx:
+    x0, y0, z0 = corner[0], corner[1], corner[2]
+    has_bins = bins.shape[0] > 0
+    byte = byte_of[0]
+    flat = crop.reshape(-1)
+    for k in range(start.shape[0] - 1):
+        # Half a side too generous: the loop below is exact.
+        if upper[k, 0] < x0 - side or lower[k, 0] > x0 + (nx + 1) * side:
             continue
-        y = (points[i, 1] - lower[1]) * scale
-        z = (points[i, 2] - lower[2]) * scale
-        if 0.0 <= y < ny and 0.0 <= z < nz:
-            byte = OCCUPIED
-            if bins[i] >= 0:
-                byte |= COLOURED
-                if is_similar[bins[i]]:
-                    byte |= SIMILAR
-            crop[int(x), int(y), int(z)] = byte
+        if upper[k, 1] < y0 - side or lower[k, 1] > y0 + (ny + 1) * side:
+            continue
+        last_x, last_y = np.nan, np.nan
+        column = np.int64(-1)  # first cell of the column, -1 = it is outside
+        for place in range(start[k], start[k + 1]):
+            i = order[place]
+            if points[i, 0] != last_x or points[i, 1] != last_y:  # ascending voxels come in runs along z
+                last_x, last_y = points[i, 0], points[i, 1]
+                x, y = (last_x - x0) * scale, (last_y - y0) * scale
+                column = -1
+                if 0.0 <= x < nx and 0.0 <= y < ny:
+                    # Positive numbers only are cut off at the point: that is ten times faster than to round down.
+                    column = (int(x) * ny + int(y)) * nz
+            z = (points[i, 2] - z0) * scale
+            if column >= 0 and 0.0 <= z < nz:
+                if has_bins:
+                    byte = byte_of[bins[i] + 1]
+                flat[column + int(z)] = byte
 
 
 @njit(cache=True, nogil=True)
@@ -322,6 +413,73 @@ def scatter(start, seed, radius, n_steps, crop, placed):
 
 
 @njit(cache=True, nogil=True)
+def systematic_voxels(samples, weights, offset, lower, side, out):
+    """Voxels (n, 3) of n copies of samples (m, 3) m by systematic resampling, CF Alg. 2; lower : of the crop.
+
+    weights : (m,), their sum need not be 1.  offset : in [0, 1).
+    """
+    n, m = out.shape[0], samples.shape[0]
+    total, last = 0.0, 0
+    for j in range(m):
+        total += weights[j]
+        if weights[j] > 0.0:
+            last = j
+    j, edge = 0, weights[0]
+    for i in range(n):
+        place = (i + offset) / n * total
+        # Never beyond the last sample of positive weight, whatever rounding does to the sum.
+        while edge <= place and j < last:
+            j += 1
+            edge += weights[j]
+        for k in range(3):
+            out[i, k] = math.floor((samples[j, k] - lower[k]) / side)
+
+
+@njit(cache=True, nogil=True)
+def weigh_samples(
+    placed, corner, side, centre, reach, likelihood, is_even, crowd, others, k, points, weights
+):
+    """Weigh samples in the voxels placed (n, 3) of a crop: sum of the weights, mean (3,) and its covariance (3, 3).
+
+    corner : (3,) m, of the crop.  centre : (3,) m; samples further than reach from it in the plane weigh nothing.
+    crowd : (n,), the weights are divided by it if is_even.  others : (L, 2) m, exclusion zones with the factor k of
+    CF Eq. 4.13.  points : (n, 3) m out, where the samples are.  weights : (n,) out, with sum 1.
+    With a sum of zero the mean and the covariance are zeros.  Source: CF Eq. 4.12-4.19.
+    """
+    total = 0.0
+    mean, covariance = np.zeros(3), np.zeros((3, 3))
+    for i in range(placed.shape[0]):
+        for a in range(3):
+            points[i, a] = corner[a] + (placed[i, a] + 0.5) * side
+        x, y = points[i, 0], points[i, 1]
+        weights[i] = 0.0
+        if (x - centre[0]) ** 2 + (y - centre[1]) ** 2 > reach * reach:
+            continue
+        w = likelihood[i] / crowd[i] if is_even else likelihood[i]
+        for j in range(others.shape[0]):
+            gap = k * ((x - others[j, 0]) ** 2 + (y - others[j, 1]) ** 2)
+            if gap < 40.0:  # further away the factor is 1 to the last digit
+                w *= 1.0 - math.exp(-gap)
+        weights[i] = w
+        total += w
+        for a in range(3):
+            mean[a] += w * points[i, a]
+    if not total > 0.0:
+        return total, np.zeros(3), covariance
+    mean /= total
+    for i in range(points.shape[0]):
+        weights[i] /= total
+        w = weights[i] * weights[i]
+        for a in range(3):
+            for b in range(a + 1):
+                covariance[a, b] += w * (points[i, a] - mean[a]) * (points[i, b] - mean[b])
+    for a in range(3):
+        for b in range(a):
+            covariance[b, a] = covariance[a, b]
+    return total, mean, covariance
+
+
+@njit(cache=True, nogil=True)
 def local_shares(samples, radius, crop, raw, colour, crowd):
     """Pseudo-likelihoods of samples (n, 3), voxels of the crop: raw (n,) CF Eq. 4.20, colour (n,) CF Eq. 4.21.
 
@@ -348,3 +506,36 @@ def local_shares(samples, radius, crop, raw, colour, crowd):
         raw[i] = 1.0 - abs(2.0 * n_full / n_all - 1.0)
         colour[i] = n_similar / n_coloured if n_coloured else 0.0
         crowd[i] = total >> 45
+
+
+@njit(cache=True, nogil=True)
+def local_shares_in_words(samples, radius, words, raw, colour, crowd):
+    """local_shares eight voxels at a time, of the same values; for a radius of 2 at most.
+
+    words : (nx, ny, nz / 8) uint64, the crop with eight voxels of a column in each, the lowest in the lowest byte.
+    """
+    nx, ny, n_words = words.shape
+    n_all = (2 * radius + 1) ** 3
+    one = np.uint64(0x0101010101010101)  # the lowest bit of every voxel
+    kept = np.uint64(0xFFFFFFFFFFFFFFFF) >> np.uint64(8 * (7 - 2 * radius))
+    for i in range(samples.shape[0]):
+        first = samples[i, 2] - radius
+        w, shift = first >> 3, np.uint64(8 * (first & 7))
+        full, coloured, similar, taken = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0)
+        for x in range(max(samples[i, 0] - radius, 0), min(samples[i, 0] + radius + 1, nx)):
+            for y in range(max(samples[i, 1] - radius, 0), min(samples[i, 1] + radius + 1, ny)):
+                v = words[x, y, w] >> shift if 0 <= w < n_words else np.uint64(0)
+                if shift and 0 <= w + 1 < n_words:
+                    v |= words[x, y, w + 1] << (np.uint64(64) - shift)
+                v &= kept
+                # Every byte counts for itself: 25 columns at most.
+                full += v & one
+                coloured += v >> np.uint64(1) & one
+                similar += v >> np.uint64(2) & one
+                taken += v >> np.uint64(3) & one
+        # The product has the sum of all bytes in its highest one: 125 voxels at most.
+        n_full, n_coloured = np.int64(full * one >> np.uint64(56)), np.int64(coloured * one >> np.uint64(56))
+        n_similar = np.int64(similar * one >> np.uint64(56))
+        raw[i] = 1.0 - abs(2.0 * n_full / n_all - 1.0)
+        colour[i] = n_similar / n_coloured if n_coloured else 0.0
+        crowd[i] = np.int64(taken * one >> np.uint64(56))

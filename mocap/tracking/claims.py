@@ -14,7 +14,10 @@ from mocap.tracking.features import (
     BlobFeatures,
     Components,
     components_of,
+    features_of,
     is_person,
+    may_be_low,
+    may_lie,
     measure_voxels,
     weight_kg,
 )
@@ -33,6 +36,10 @@ _ASIDE_M = 0.3  # ... when he himself stands beside it; above it is the rest of 
 _UNLIKE = 0.4  # Bhattacharyya coefficient under which a blob is somebody else
 _COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
 _PULL_M = 0.4  # how far colours may move the place of a person in a blob of several
+# A person who sinks to the floor, from one frame to the next:
+_LOW_SHARE = 0.6  # of the weight that has to remain
+_DROP_M, _DROP_M_S = 0.4, 6.0  # nobody falls deeper at once, or faster; cut-off heads are no falls
+_LOW_STEP_M, _LOW_STEP_M_S = 0.3, 4.0  # nor further to the side
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +62,11 @@ class Frame:
         """Weight of one voxel."""
         return weight_kg(1, self.settings.voxel_size_m)
 
-    def appearance(self, voxels: Indices) -> Histogram | None:
-        """Histogram by height band of some voxels; None with too few coloured ones."""
+    def appearance(self, voxels: Indices, top_m: float | None = None) -> Histogram | None:
+        """Histogram by height band of some voxels; None with too few coloured ones.  top_m : highest of them."""
         if self.bins is None:
             return None
-        histogram, n = banded_histogram(self.bins, self.voxels.centers, voxels)
+        histogram, n = banded_histogram(self.bins, self.voxels.centers, voxels, top_m)
         return histogram if n >= MIN_COLOURED else None
 
 
@@ -79,15 +86,19 @@ def frame_of(voxels: FrameVoxels, settings: TrackerSettings) -> Frame:
 class Claim:
     """Voxels (ascending) that one track holds in this frame, and whether they are a person.
 
+    centroid : (3,) m.  box : (2, 3) m, lower and upper corner about their centres.
     is_shared : they are a share of a blob of several persons.  is_new : the track has just got them, from afar.
+    is_low : they are a person because the track says so, and not the classifier.
     """
 
     voxels: Indices
     features: BlobFeatures
     centroid: Array
+    box: Array
     is_person: bool
     is_shared: bool = False
     is_new: bool = False
+    is_low: bool = False
 
     @property
     def weight_kg(self) -> float:
@@ -96,18 +107,18 @@ class Claim:
 
 def claim_of(frame: Frame, voxels: Indices, *, verdict: bool | None = None) -> Claim:
     """A claim on some voxels; verdict : None = ask the classifier."""
-    features, centroid = measure_voxels(frame.voxels.centers, voxels, frame.settings.voxel_size_m)
+    features, centroid, box = measure_voxels(frame.voxels.centers, voxels, frame.settings.voxel_size_m)
     if verdict is None:
         verdict = is_person(features, frame.settings.person_tree)
-    return Claim(voxels, features, centroid, verdict)
+    return Claim(voxels, features, centroid, box, verdict)
 
 
 def part_claim(frame: Frame, k: int, *, is_new: bool = False) -> Claim:
     """A claim on a whole component."""
     parts = frame.parts
-    return Claim(
-        parts.voxels(k), parts.features(k), parts.centroid[k], bool(frame.verdicts[k]), is_new=is_new
-    )
+    box = np.stack([parts.lower[k], parts.upper[k]])
+    verdict = bool(frame.verdicts[k])
+    return Claim(parts.voxels(k), parts.features(k), parts.centroid[k], box, verdict, is_new=is_new)
 
 
 def ellipsoid_axes(xyz: Array, settings: TrackerSettings) -> Array:
@@ -143,7 +154,8 @@ def claim_voxels(frame: Frame, tracks: tuple[Track, ...], xyz: Array) -> tuple[d
         claims, is_taken = _claim_ellipsoids(frame, xyz)
     newborn = _create(frame, claims, is_taken)
     slots = list(range(len(tracks), len(tracks) + len(newborn)))
-    claims.update({slot: part_claim(frame, k) for slot, k in zip(slots, newborn, strict=True)})
+    for slot, k in zip(slots, newborn, strict=True):
+        claims[slot] = replace(part_claim(frame, k), is_person=True, is_low=not frame.verdicts[k])
     if frame.settings.whole_components:
         _add_fragments(frame, claims, is_taken)
     return claims, slots
@@ -154,8 +166,10 @@ def _votes(frame: Frame, xyz: Array) -> tuple[Indices, Indices]:
     exclusive, every = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     if len(xyz):
         axes = ellipsoid_axes(xyz, frame.settings)
-        of = frame.parts.component_of
-        _kernels.count_votes(frame.voxels.centers, of, xyz, axes, exclusive, every)
+        p = frame.parts
+        _kernels.count_votes(
+            frame.voxels.centers, p.order, p.start, p.lower, p.upper, xyz, axes, exclusive, every
+        )
     return exclusive, every
 
 
@@ -189,11 +203,64 @@ def _claim_components(
     claims: dict[int, Claim] = {}
     for k, inside_k in members.items():
         is_taken[k] = True
-        if len(inside_k) == 1 and frame.verdicts[k]:
-            claims[inside_k[0]] = part_claim(frame, k)
-        else:
-            claims.update(_divide(frame, parts.voxels(k), inside_k, tracks, xyz))
+        # A tentative track has not shown yet that it is a body of its own: beside a confirmed one it is a ghost.
+        inside_k = [t for t in inside_k if tracks[t].status != TENTATIVE] or inside_k
+        if len(inside_k) == 1:
+            alone = _judged(frame, tracks[inside_k[0]], part_claim(frame, k))
+            if alone.is_person or frame.verdicts[k]:
+                claims[inside_k[0]] = alone
+                continue
+        claims.update(_divide(frame, parts.voxels(k), inside_k, tracks, xyz))
     return claims, is_taken
+
+
+def _judged(frame: Frame, track: Track, claim: Claim) -> Claim:
+    """The claim with a verdict that minds what the track was like before; see follow_low."""
+    if not frame.settings.follow_low:
+        return claim
+    if track.status == TENTATIVE:
+        is_low = track.top_m < frame.settings.min_new_top_m and may_lie(claim.features)
+    elif _is_left_behind(frame, track, claim):
+        return replace(claim, is_person=False)
+    else:
+        is_low = _is_sunk(track, claim)
+    return replace(claim, is_person=True, is_low=True) if is_low and not claim.is_person else claim
+
+
+def _is_sunk(track: Track, claim: Claim) -> bool:
+    """Whether a low blob that no tree calls a person may be a known one: it weighs what the person weighs."""
+    return claim.weight_kg >= _LOW_SHARE * track.weight_kg and may_be_low(claim.features)
+
+
+def _is_left_behind(frame: Frame, track: Track, claim: Claim) -> bool:
+    """Whether a low blob under a confirmed track is what its person has left: a chair, a shadow, a coat.
+
+    Who sits down, crouches or falls does so within several frames and takes his voxels along; a chair beside which
+    somebody vanishes is lower, lighter or elsewhere at once.  Colours that agree outweigh all that.
+    """
+    settings, parts = frame.settings, frame.parts
+    lowest_new = min(settings.min_new_top_m, track.last_top_m)
+    if not claim.features.top_m < lowest_new:
+        return False
+    # Legs of a body in two pieces are low as well.
+    gap = np.linalg.norm(parts.centroid[:, :2] - claim.centroid[:2], axis=1)
+    above = (gap <= _ASIDE_M) & (parts.weight_kg >= settings.min_support_kg)
+    top = float((parts.upper[above, 2] + settings.voxel_size_m / 2).max(initial=claim.features.top_m))
+    if not top < lowest_new:
+        return False
+    dt = (frame.voxels.frame - track.born - track.age) / settings.fps
+    alike = None
+    if track.appearance is not None and (look := frame.appearance(claim.voxels)) is not None:
+        # Who lies has his head where the legs were: the bands say nothing.
+        alike = bhattacharyya(track.appearance.sum(axis=0), look.sum(axis=0))
+    if alike is not None and (alike < _UNLIKE or alike >= settings.reid_likeness):
+        return alike < _UNLIKE
+    step = float(np.hypot(*(claim.centroid[:2] - track.xyz[:2])))
+    return (
+        track.last_top_m - top > max(_DROP_M, _DROP_M_S * dt)
+        or step > max(_LOW_STEP_M, _LOW_STEP_M_S * dt)
+        or claim.weight_kg < _LOW_SHARE * track.last_kg
+    )
 
 
 def _best_component(frame: Frame, track: Track, votes: Array) -> int:
@@ -222,8 +289,6 @@ def _divide(
     is too light for all of them: it is a track that has lost its person and stands beside another one, whose
     arms it must not take.  Where colours tell the persons apart they say first who stands where.
     """
-    # A tentative track has not shown yet that it is a body of its own: beside a confirmed one it is a ghost.
-    slots = [t for t in slots if tracks[t].status != TENTATIVE] or list(slots)
     settings = frame.settings
     places = xyz[slots]
     if len(slots) > 1:
@@ -236,7 +301,7 @@ def _divide(
         claims = {}
         for i, row in enumerate(rows):
             mine = nearest == i
-            claim = _best_claim(frame, voxels[mine], near[row][mine])
+            claim = _best_claim(frame, tracks[slots[row]], voxels[mine], near[row][mine])
             claims[slots[row]] = replace(claim, is_shared=len(rows) > 1)
         failed = [r for r in rows if not claims[slots[r]].is_person]
         usual_kg = {r: max(tracks[slots[r]].weight_kg, 1e-9) for r in rows}
@@ -281,10 +346,10 @@ def _places_by_colour(frame: Frame, voxels: Indices, tracks: list[Track], xyz: A
     return places
 
 
-def _best_claim(frame: Frame, voxels: Indices, distance: Array) -> Claim:
+def _best_claim(frame: Frame, track: Track, voxels: Indices, distance: Array) -> Claim:
     """The whole share if it is a person, otherwise the part inside the ellipsoid (CF Eq. 4.4)."""
-    whole = claim_of(frame, voxels)
-    return whole if whole.is_person else claim_of(frame, voxels[distance <= 1.0])
+    whole = _judged(frame, track, claim_of(frame, voxels))
+    return whole if whole.is_person else _judged(frame, track, claim_of(frame, voxels[distance <= 1.0]))
 
 
 def likeness(track_appearance: Histogram | None, blob_appearance: Histogram | None) -> float | None:
@@ -294,11 +359,20 @@ def likeness(track_appearance: Histogram | None, blob_appearance: Histogram | No
     return bhattacharyya(track_appearance, blob_appearance)
 
 
-def _free_persons(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> list[int]:
-    """Person components that belong to nobody and stand away from every track; heaviest first."""
+def _free_persons(
+    frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_], *, lying: bool = False
+) -> list[int]:
+    """Person components that belong to nobody and stand away from every track; heaviest first.
+
+    lying : those too that may be somebody on the floor.
+    """
     parts = frame.parts
     owners = np.array([c.centroid for c in claims.values() if len(c.voxels)])
-    free = [int(k) for k in np.flatnonzero(frame.verdicts & ~is_taken)]
+    free = [
+        int(k)
+        for k in np.flatnonzero(~is_taken & (parts.weight_kg >= frame.settings.min_support_kg))
+        if frame.verdicts[k] or (lying and may_lie(parts.features(int(k))))
+    ]
     if len(owners) and free:
         gap = np.linalg.norm(parts.centroid[free, None, :2] - owners[None, :, :2], axis=2)
         free = [k for k, d in zip(free, gap, strict=True) if d.min() >= frame.settings.min_distance_m]
@@ -333,6 +407,8 @@ def _reacquire(
                 continue
             if alike is not None and alike >= settings.reid_likeness and tracks[t].status == COASTING:
                 reach += 1.5 * tracks[t].misses / settings.fps
+            if settings.follow_low and _is_left_behind(frame, tracks[t], part_claim(frame, k)):
+                continue
             if gap <= reach:
                 pairs.append((gap, t, k))
     found: set[int] = set()
@@ -346,7 +422,7 @@ def _reacquire(
 def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> list[int]:
     """Components that become new tracks. Source: CF 4.2.3, track creation criteria."""
     newborn: list[int] = []
-    for k in _free_persons(frame, claims, is_taken):
+    for k in _free_persons(frame, claims, is_taken, lying=frame.settings.follow_low):
         centroid = frame.parts.centroid
         gaps = [np.linalg.norm(centroid[k, :2] - centroid[n, :2]) for n in newborn]
         if all(gap >= frame.settings.min_distance_m for gap in gaps):
@@ -370,10 +446,29 @@ def _add_fragments(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.
     for i, t in enumerate(owners):
         mine = loose[belongs & (nearest == i)]
         if len(mine):
-            old = claims[t]
-            voxels = np.sort(np.concatenate([old.voxels, *(parts.voxels(int(k)) for k in mine)]))
-            new = claim_of(frame, voxels)
-            claims[t] = replace(
-                new, is_person=old.is_person or new.is_person, is_shared=old.is_shared, is_new=old.is_new
-            )
+            claims[t] = _with_parts(frame, claims[t], mine)
             is_taken[mine] = True
+
+
+def _with_parts(frame: Frame, claim: Claim, which: Indices) -> Claim:
+    """A claim and some components together, a person if the claim is one or both are."""
+    parts = frame.parts
+    is_mine = np.zeros(len(frame.voxels), dtype=np.bool_)
+    is_mine[claim.voxels] = True
+    for k in which:
+        is_mine[parts.voxels(int(k))] = True
+    voxels = np.flatnonzero(is_mine)
+    count = parts.start[which + 1] - parts.start[which]
+    centroid = (len(claim.voxels) * claim.centroid + count @ parts.centroid[which]) / len(voxels)
+    box = np.empty((2, 3))
+    np.minimum(claim.box[0], parts.lower[which].min(axis=0), out=box[0])
+    np.maximum(claim.box[1], parts.upper[which].max(axis=0), out=box[1])
+    features = features_of(len(voxels), float(centroid[2]), box[0], box[1], frame.settings.voxel_size_m)
+    return replace(
+        claim,
+        voxels=voxels,
+        features=features,
+        centroid=centroid,
+        box=box,
+        is_person=claim.is_person or is_person(features, frame.settings.person_tree),
+    )

@@ -26,17 +26,20 @@ def colour_bins(rgb: NDArray[np.uint8], has_colour: NDArray[np.bool_]) -> NDArra
     return out
 
 
-def banded_histogram(bins: NDArray[np.int32], centers: Array, rows: NDArray[np.int64]) -> tuple[Array, int]:
+def banded_histogram(
+    bins: NDArray[np.int32], centers: Array, rows: NDArray[np.int64], top_m: float | None = None
+) -> tuple[Array, int]:
     """Histogram of some voxels by height band and colour, (3, 9261), sum 1, and the number of coloured voxels.
 
     bins : (N,) as of colour_bins.  centers : (N, 3) m.  rows : (n,) indices of the voxels.
-    Bands are shares of the height of the highest of them.  No coloured voxel gives zeros and 0.
+    Bands are shares of the height of the highest of them, top_m if that is known.  No coloured voxel gives zeros and 0.
     """
     histogram = np.zeros((N_BANDS, N_BINS), dtype=np.float32)
     if not len(rows):
         return histogram, 0
-    edges = np.array(BANDS) * float(centers[rows, 2].max())
-    n = _kernels.add_histogram(bins, centers, np.asarray(rows, dtype=np.int64), edges, histogram)
+    rows = np.asarray(rows, dtype=np.int64)
+    edges = np.array(BANDS) * (float(centers[rows, 2].max()) if top_m is None else top_m)
+    n = _kernels.add_histogram(bins, centers, rows, edges, histogram)
     if n:
         histogram /= n
     return histogram, int(n)
@@ -62,13 +65,16 @@ def similar_colours(reference: Array, share: float = 0.8) -> NDArray[np.bool_]:
 
     An empty histogram holds no colour.  Source: CF 4.3.3, the variable threshold of Eq. 4.21.
     """
+    return np.asarray(reference >= similar_threshold(reference, share))
+
+
+def similar_threshold(reference: Array, share: float = 0.8) -> float:
+    """Value of a histogram from which on a colour is one of similar_colours; infinite of an empty one."""
     total = float(reference.sum())
     if total <= 0.0:
-        return np.zeros(len(reference), dtype=np.bool_)
-    used = np.flatnonzero(reference > 0)
-    order = used[np.argsort(-reference[used], kind="stable")]
-    cumulative = np.cumsum(reference[order], dtype=np.float64)
+        return np.inf
+    values = -np.sort(-reference[reference > 0])
+    cumulative = np.cumsum(values, dtype=np.float64)
     # The last colour that is needed to reach the share still counts; so do its equals.
-    last = min(int(np.searchsorted(cumulative, share * total - 1e-9)), len(order) - 1)
-    threshold = reference[order[last]]
-    return np.asarray(reference >= threshold)
+    last = min(int(np.searchsorted(cumulative, share * total - 1e-9)), len(values) - 1)
+    return float(values[last])

@@ -96,6 +96,21 @@ PERSON_TREE = Split(
 )
 
 
+# Somebody on the floor, who is lower than any tree allows: a chest is 20 cm deep, a shadow has no depth.
+_LOW_M = 0.2
+# Of somebody who was lying when first seen less is known: long, and not as flat as a door leaf.
+_LYING_IS_PERSON = Split(
+    "weight_kg",
+    25.0,
+    False,
+    Split(
+        "top_m",
+        0.75,
+        Split("box_max_m", 1.0, False, Split("box_min_m", 0.25, False, True)),  # stretched out, at any angle
+        False,
+    ),
+)
+
 TREES = ("wide", "trained")
 _TRAINED = Path(__file__).with_name("person_tree.toml")
 
@@ -166,7 +181,9 @@ def blob_features(centers: Array, voxel_size_m: float) -> BlobFeatures:
     if len(c) == 0:
         return BlobFeatures(0.0, np.nan, np.nan, np.nan, np.nan, np.nan)
     columns = np.ascontiguousarray(c.T)  # reducing rows of three is ten times slower
-    return _features(len(c), float(columns[2].mean()), columns.min(axis=1), columns.max(axis=1), voxel_size_m)
+    return features_of(
+        len(c), float(columns[2].mean()), columns.min(axis=1), columns.max(axis=1), voxel_size_m
+    )
 
 
 def is_person(features: BlobFeatures, tree: Split | bool = PERSON_TREE) -> bool:
@@ -182,6 +199,17 @@ def is_person(features: BlobFeatures, tree: Split | bool = PERSON_TREE) -> bool:
             return False
         node = node.below if value < node.threshold else node.above
     return node
+
+
+def may_be_low(features: BlobFeatures) -> bool:
+    """Whether a blob could be somebody on the floor whom one knows already: no shadow, and not the whole room."""
+    is_thick = features.height_m >= _LOW_M and features.top_m - features.height_m < 0.35
+    return is_thick and features.weight_kg < 600.0 and is_person(features, _BOX_IS_PERSON)
+
+
+def may_lie(features: BlobFeatures) -> bool:
+    """Whether a blob could be somebody who lies on the floor, of whom nothing else is known."""
+    return may_be_low(features) and is_person(features, _LYING_IS_PERSON)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +241,7 @@ class Components:
         """What the person classifier needs of component k."""
         n = int(self.start[k + 1] - self.start[k])
         z = float(self.centroid[k, 2])
-        return _features(n, z, self.lower[k], self.upper[k], self.voxel_size_m)
+        return features_of(n, z, self.lower[k], self.upper[k], self.voxel_size_m)
 
 
 def components_of(centers: Array, labels: NDArray[np.integer], voxel_size_m: float) -> Components:
@@ -255,17 +283,19 @@ def components_of(centers: Array, labels: NDArray[np.integer], voxel_size_m: flo
 
 def measure_voxels(
     centers: Array, voxels: NDArray[np.int64], voxel_size_m: float
-) -> tuple[BlobFeatures, Array]:
-    """Features and centroid (3,) m of some voxels, by row of centers (N, 3); none give weight 0 and NaN.
+) -> tuple[BlobFeatures, Array, Array]:
+    """Features, centroid (3,) m and bounding box (2, 3) m of some voxels, by row of centers (N, 3).
 
-    Source: CF Eq. 4.5, Table 4.1.
+    The box is that of the centres. None give weight 0 and NaN elsewhere.  Source: CF Eq. 4.5, Table 4.1.
     """
     if not len(voxels):
-        return BlobFeatures(0.0, np.nan, np.nan, np.nan, np.nan, np.nan), np.full(3, np.nan)
+        nothing = BlobFeatures(0.0, np.nan, np.nan, np.nan, np.nan, np.nan)
+        return nothing, np.full(3, np.nan), np.full((2, 3), np.nan)
     mean, lower, upper = (np.empty((1, 3)) for _ in range(3))
     start = np.array([0, len(voxels)], dtype=np.int64)
     _kernels.measure_groups(centers, voxels, start, mean, lower, upper)
-    return _features(len(voxels), float(mean[0, 2]), lower[0], upper[0], voxel_size_m), mean[0]
+    features = features_of(len(voxels), float(mean[0, 2]), lower[0], upper[0], voxel_size_m)
+    return features, mean[0], np.concatenate([lower, upper])
 
 
 def weight_kg(n_voxels: int, voxel_size_m: float) -> float:
@@ -273,7 +303,8 @@ def weight_kg(n_voxels: int, voxel_size_m: float) -> float:
     return n_voxels * voxel_size_m**3 * 1000.0 * BODY_DENSITY_KG_PER_LITRE
 
 
-def _features(n: int, centroid_z: float, lower: Array, upper: Array, side: float) -> BlobFeatures:
+def features_of(n: int, centroid_z: float, lower: Array, upper: Array, side: float) -> BlobFeatures:
+    """Features of n voxels of a side in m: mean height of their centres, lowest and highest of them, (3,) m."""
     extent = upper - lower + side
     return BlobFeatures(
         weight_kg=weight_kg(n, side),

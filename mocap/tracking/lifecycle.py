@@ -137,9 +137,13 @@ def _advance(
     track = track.but(status=status, age=age, hits=hits, misses=misses)
     track = _place(predicted, track, claim, is_supported, frame, start)
     if is_person and not claim.is_shared:
+        # What is a person by its usual weight must not change it: a blob that shrinks would take the track along.
+        rate = 0.0 if claim.is_low else _USUAL_RATE
         track = track.but(
-            weight_kg=track.weight_kg + _USUAL_RATE * (claim.weight_kg - track.weight_kg),
+            weight_kg=track.weight_kg + rate * (claim.weight_kg - track.weight_kg),
             top_m=track.top_m + _USUAL_RATE * (claim.features.top_m - track.top_m),
+            last_kg=claim.weight_kg,
+            last_top_m=claim.features.top_m,
         )
         # What has just come off a person is not yet itself: its first sightings say where and how large it is.
         here = _posture(claim)
@@ -239,6 +243,8 @@ def _with_body_of(track: Track, other: Track) -> Track:
         weights=other.weights,
         efficiency=other.efficiency,
         misses=other.misses,
+        last_kg=other.last_kg,
+        last_top_m=other.last_top_m,
         close=other.close,
         mixed=other.mixed,
     )
@@ -379,6 +385,8 @@ def _bear(
         serial=serial,
         covariance=motion.place_covariance(settings),
         top_m=claim.features.top_m,
+        last_kg=claim.weight_kg,
+        last_top_m=claim.features.top_m,
         home=_posture(claim),
         motion=motion.start_motion(settings),
     )
@@ -447,7 +455,7 @@ def _with_colours(track: Track, claim: Claim, frame: Frame) -> Track:
     settings = frame.settings
     if claim.is_shared and settings.whole_components:
         return track
-    look = frame.appearance(claim.voxels)
+    look = frame.appearance(claim.voxels, float(claim.box[1, 2]))
     if look is None:
         return track
     whole = look.sum(axis=0)

@@ -45,10 +45,14 @@ def predict(track: Track, n_frames: int, settings: TrackerSettings) -> Track:
     """
     transition, noise = _transition(n_frames / settings.fps)
     step, keep = float(transition[0, 1]), float(transition[1, 1])
-    motion = transition @ track.motion @ transition.T + noise
+    motion = transition.dot(track.motion).dot(transition.T) + noise
     if settings.motion == "none":
         return track.but(motion=motion, covariance=faded(track, motion[0, 0]))
     shift = step * track.velocity
+    if track.misses:
+        shift[2] = (
+            0.0  # who is out of sight goes on walking, not sinking: half outside the volume centroids drop
+        )
     return track.but(
         xyz=track.xyz + shift,
         velocity=keep * track.velocity,

@@ -66,19 +66,16 @@ def particle_likelihoods(particles: Array, histogram: Array | None, frame: Frame
     margin = radius + side
     lower = particles.min(axis=0) - margin
     upper = particles.max(axis=0) + margin
-    near = np.flatnonzero(
-        (centers[:, 0] > lower[0])
-        & (centers[:, 0] < upper[0])
-        & (centers[:, 1] > lower[1])
-        & (centers[:, 1] < upper[1])
-        & (frame.parts.component_of >= 0)
-    )
+    p = frame.parts
+    near = np.empty(len(p.order), dtype=np.int64)
+    near = near[: _kernels.rows_in_box(centers, p.order, p.start, p.lower, p.upper, lower, upper, near)]
     raw, colour = np.zeros(len(particles)), np.zeros(len(particles))
     if len(near):
         points = centers[near]
         # Half a voxel below the first centre: indices of the crop are those of the lattice.
-        corner = points.min(axis=0) - side / 2
-        shape = np.floor((points.max(axis=0) - corner) / side).astype(np.int64) + 1
+        first, last = _kernels.extent(points)
+        corner = first - side / 2
+        shape = np.floor((last - corner) / side).astype(np.int64) + 1
         below = np.zeros((shape[0], shape[1], shape[2] + 1), dtype=np.int16)
         _kernels.fill_columns(points, corner, side, below)
         _kernels.overlap_shares(particles, radius, MIN_HEIGHT_M, side, corner, below, raw)

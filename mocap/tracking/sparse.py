@@ -5,13 +5,14 @@ A sample is a point of the body and not a guess of its place: the centroid of th
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.tracking import _kernels
 from mocap.tracking.claims import Claim, Frame
-from mocap.tracking.colour import N_BINS, similar_colours
-from mocap.tracking.particle import exclusion, systematic
+from mocap.tracking.colour import N_BINS, similar_threshold
 from mocap.tracking.state import Track
 
 Array = NDArray[np.float64]
@@ -45,30 +46,37 @@ def estimate(track: Track, others: Array, frame: Frame, *, rng: np.random.Genera
     if not len(track.samples) or not len(frame.voxels):
         return track.but(efficiency=0.0)
     crop, lower = _crop(track, frame)
-    chosen = systematic(track.weights, n, float(rng.random()))
-    voxel = np.floor((track.samples[chosen] - lower) / side).astype(np.int64)
+    voxel, placed = np.empty((2, n, 3), dtype=np.int64)
+    _kernels.systematic_voxels(track.samples, track.weights, float(rng.random()), lower, side, voxel)
     seed = rng.integers(0, 2**63, dtype=np.uint64)
-    placed = np.empty((n, 3), dtype=np.int64)
     placed = placed[: _kernels.scatter(voxel, seed, radius, WALK_STEPS, crop, placed)]
-    raw, colour, crowd = np.empty((3, len(placed)))
-    _kernels.local_shares(placed, radius, crop, raw, colour, crowd)
+    raw, colour, crowd, weights = np.empty((4, len(placed)))
+    if radius <= 2 and sys.byteorder == "little":
+        _kernels.local_shares_in_words(placed, radius, crop.view(np.uint64), raw, colour, crowd)
+    else:
+        _kernels.local_shares(placed, radius, crop, raw, colour, crowd)
     likelihood = raw
     if track.histogram is not None and frame.bins is not None:
         likelihood = (1.0 - settings.colour_weight) * raw + settings.colour_weight * colour
-    points = lower + (placed + 0.5) * side
+    points = np.empty((len(placed), 3))
     reach = settings.alpha * settings.semi_axis_xy_m
-    is_near = ((points[:, :2] - track.xyz[:2]) ** 2).sum(axis=1) <= reach**2
-    weights = np.where(is_near, likelihood, 0.0)
-    weights = weights * exclusion(points[:, :2], others, settings.semi_axis_xy_m, settings.exclusion_scale)
-    if settings.even_samples:
-        weights = weights / crowd
-    total = float(weights.sum())
+    k = settings.exclusion_scale / settings.semi_axis_xy_m**2
+    total, mean, covariance = _kernels.weigh_samples(
+        placed,
+        lower,
+        side,
+        track.xyz,
+        reach,
+        likelihood,
+        settings.even_samples,
+        crowd,
+        others,
+        k,
+        points,
+        weights,
+    )
     if not total > 0.0:
         return track.but(efficiency=0.0)
-    weights = weights / total
-    mean = weights @ points
-    centred = points - mean
-    covariance = (weights[:, None] ** 2 * centred).T @ centred
     return track.but(
         xyz=mean,
         covariance=covariance,
@@ -90,14 +98,19 @@ def _crop(track: Track, frame: Frame) -> tuple[NDArray[np.uint8], Array]:
     low = np.array([track.xyz[0] - reach, track.xyz[1] - reach, track.samples[:, 2].min() - margin])
     high = np.array([track.xyz[0] + reach, track.xyz[1] + reach, track.samples[:, 2].max() + margin])
     first = np.floor((low - frame.anchor) / side).astype(np.int64)
-    last = np.floor((high - frame.anchor) / side).astype(np.int64)
-    crop = np.zeros(tuple(last - first + 1), dtype=np.uint8)
-    is_similar = np.zeros(N_BINS, dtype=np.bool_)
-    bins = frame.bins
-    if bins is None or track.histogram is None:
-        bins = np.full(len(frame.voxels), -1, dtype=np.int32)
-    else:
-        is_similar = similar_colours(track.histogram, settings.similar_share)
-    lower = frame.anchor + first * side
-    _kernels.fill_crop(frame.voxels.centers, bins, is_similar, lower, side, crop)
-    return crop, lower
+    shape = np.floor((high - frame.anchor) / side).astype(np.int64) - first + 1
+    shape[2] += -shape[2] % 8  # whole words
+    crop = np.zeros(tuple(shape), dtype=np.uint8)
+    bins, byte_of = np.zeros(0, dtype=np.int32), np.full(1, _kernels.OCCUPIED, dtype=np.uint8)
+    if frame.bins is not None and track.histogram is not None:
+        bins = frame.bins
+        byte_of = np.full(N_BINS + 1, _kernels.OCCUPIED | _kernels.COLOURED, dtype=np.uint8)
+        byte_of[0] = _kernels.OCCUPIED
+        threshold = similar_threshold(track.histogram, settings.similar_share)
+        _kernels.mark_similar(track.histogram, threshold, _kernels.SIMILAR, byte_of)
+    corner = frame.anchor + first * side
+    p = frame.parts
+    _kernels.fill_crop(
+        frame.voxels.centers, p.order, p.start, p.lower, p.upper, bins, byte_of, corner, side, crop
+    )
+    return crop, corner

@@ -62,6 +62,9 @@ class TrackerSettings:
     lost_frames : a confirmed track coasts so many frames, then it is deleted: no phantom lives longer.
     min_new_top_m, min_move_m : a new blob lower than this is confirmed only after it has moved so far, or changed its
         extent so much: chairs do neither by themselves, children and people on the floor do.
+    follow_low : a confirmed person who sinks below that stays seen whatever the classifier says, as long as weight,
+        place and colours agree with what was there; what is left behind (a chair) is no longer the person, even where
+        the classifier takes it for one. false = the classifier alone decides.
 
     Identity. keep_identity : repair exchanged persons by their colours after they were close; needs colour.
     identity_margin : sum of the two Bhattacharyya coefficients that must be gained by an exchange.
@@ -103,6 +106,7 @@ class TrackerSettings:
     lost_frames: int = 15
     min_new_top_m: float = 1.0
     min_move_m: float = 0.3
+    follow_low: bool = True
     keep_identity: bool = True
     identity_margin: float = 0.2
     reid_s: float = 60.0
@@ -154,6 +158,7 @@ def published_settings(tracker: str, voxel_size_m: float, **changes: Any) -> Tra
         keep_identity=False,
         reid_s=0.0,
         min_new_top_m=0.0,
+        follow_low=False,
     )
     return replace(published, **changes)
 
@@ -169,8 +174,9 @@ class Track:
     born : frame of creation.  age : frames since then.  hits : sightings as a person.
     misses : frames since the last of them.  close : frames in a row too near to a better track.
     weight_kg : usual weight of its voxels, a running mean over the frames in which it shared with nobody.
-    top_m : usual height of the highest voxel.  home : (5,) m, position xy, both sides of the box and top when it was
-    new.  has_moved : one of them by more than min_move_m.
+    top_m : usual height of the highest voxel.  last_kg, last_top_m : both when it was last seen alone.
+    home : (5,) m, position xy, both sides of the box and top when it was new.  has_moved : one of them by more than
+    min_move_m.
     motion : (2, 2), covariance of position and velocity along each axis.
     samples : (n, 3) m and weights (n,), sum 1: particles, or samples of the surface; empty for the naive tracker.
     efficiency : mean likelihood of the samples before they were weighted, 1 for the naive tracker.
@@ -193,6 +199,8 @@ class Track:
     covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
     velocity: Array = field(default_factory=lambda: np.zeros(3))
     top_m: float = np.nan
+    last_kg: float = 0.0
+    last_top_m: float = np.nan
     home: Array = field(default_factory=lambda: np.full(5, np.nan))
     has_moved: bool = False
     motion: Array = field(default_factory=lambda: np.zeros((2, 2)))

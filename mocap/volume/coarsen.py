@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import VoxelGrid
+from mocap.volume import _coarsen_kernels as kernels
+from mocap.volume._kernels import subscripts_and_bounds
 from mocap.volume.surface import check_voxels
 
 Voxels = NDArray[np.int32]
@@ -57,54 +59,26 @@ def coarsen(
         cell = np.minimum(cell, n_coarse - 1)
         cells.append(cell)
         capacity.append(np.bincount(cell, minlength=n_coarse))
-    subs = grid.subscripts(v)
-    of_fine = np.column_stack([cell[subs[:, i]] for i, cell in enumerate(cells)])
-    touched, inverse, count = np.unique(
-        coarse.linear(of_fine).astype(np.int64), return_inverse=True, return_counts=True
-    )
-    inverse = inverse.reshape(-1)
-    at = coarse.subscripts(touched.astype(np.int32))
-    room = capacity[0][at[:, 0]] * capacity[1][at[:, 1]] * capacity[2][at[:, 2]]
-    is_full = 2 * count >= room
-    occupied = touched[is_full].astype(np.int32)
-    row_of_touched = np.where(is_full, np.cumsum(is_full) - 1, -1)
-    row_of = row_of_touched[inverse]
-    _adopt(row_of, subs, grid, coarse, of_fine, occupied)
+    lower = np.zeros(3, dtype=np.int64)
+    shape = np.zeros(3, dtype=np.int64)
+    subs, first, end = subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
+    if len(v):
+        lower = np.array([cell[i] for cell, i in zip(cells, first, strict=True)])
+        shape = np.array([cell[i - 1] for cell, i in zip(cells, end, strict=True)]) - lower + 1
+    # The block of coarse cells about the hull.
+    count = np.zeros(tuple(shape), dtype=np.int32)
+    row = np.empty(tuple(shape), dtype=np.int32)
+    occupied = np.empty(count.size, dtype=np.int32)
+    place = kernels.count_cells(subs, *cells, lower, count)
+    _, ny, nz = coarse.shape
+    occupied = occupied[: kernels.number_full_cells(count, *capacity, lower, ny, nz, row, occupied)].copy()
+    row_of = np.empty(len(v), dtype=np.int64)
+    kernels.rows_of_fine(subs, place, lower, grid.voxel_size_m / coarse.voxel_size_m, row, row_of)
 
-    colours = np.zeros((len(occupied), 3), dtype=np.uint8)
+    total = np.zeros((len(occupied), 3), dtype=np.int64)
     n_coloured = np.zeros(len(occupied), dtype=np.int64)
-    if rgb is not None and len(occupied):
+    if rgb is not None:
         known = np.ones(len(v), dtype=np.bool_) if has_colour is None else has_colour
-        inside = np.flatnonzero(known & (row_of_touched[inverse] >= 0))
-        rows = row_of[inside]
-        n_coloured = np.bincount(rows, minlength=len(occupied))
-        for channel in range(3):
-            total = np.bincount(rows, weights=rgb[inside, channel], minlength=len(occupied))
-            colours[:, channel] = np.floor(total / np.maximum(n_coloured, 1) + 0.5)
+        kernels.mean_colours(place, row, rgb, known, total, n_coloured)
+    colours = np.floor(total / np.maximum(n_coloured, 1)[:, None] + 0.5).astype(np.uint8)
     return CoarseVoxels(coarse, occupied, colours, n_coloured > 0, row_of)
-
-
-def _adopt(
-    row_of: NDArray[np.int64],
-    subs: NDArray[np.int32],
-    grid: VoxelGrid,
-    coarse: VoxelGrid,
-    of_fine: NDArray[np.int64],
-    occupied: Voxels,
-) -> None:
-    """Give fine voxels in empty coarse ones to the occupied neighbour whose centre is nearest."""
-    loose = np.flatnonzero(row_of < 0)
-    if not len(loose) or not len(occupied):
-        return
-    point = (subs[loose] + 0.5) * (grid.voxel_size_m / coarse.voxel_size_m)
-    best = np.full(len(loose), np.inf)
-    steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    for step in steps:
-        cell = of_fine[loose] + step
-        inside = np.all((cell >= 0) & (cell < np.array(coarse.shape)), axis=1)
-        index = coarse.linear(np.where(inside[:, None], cell, 0))
-        row = np.minimum(np.searchsorted(occupied, index), len(occupied) - 1)
-        gap = np.linalg.norm(cell + 0.5 - point, axis=1)
-        better = inside & (occupied[row] == index) & (gap < best)
-        row_of[loose[better]] = row[better]
-        best[better] = gap[better]

@@ -76,6 +76,14 @@ def test_the_same_seed_gives_the_same_tracks(clip: HullClip) -> None:
     assert a.tracks.xyz.shape != c.tracks.xyz.shape or not np.array_equal(a.tracks.xyz, c.tracks.xyz)
 
 
+def test_runs_for_the_clock_change_no_track(clip: HullClip) -> None:
+    seen, _ = observations(clip)
+    one, three = (run_method(Method("particle"), seen, clip, n_runs=n) for n in (1, 3))
+    np.testing.assert_array_equal(one.tracks.xyz, three.tracks.xyz)
+    assert len(three.infos) == N_FRAMES
+    assert 0 < three.step_s < np.inf
+
+
 def test_lines_are_kept_and_not_computed_twice(
     clip: HullClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

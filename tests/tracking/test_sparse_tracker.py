@@ -6,6 +6,8 @@ from bodies import BLUE, RED, SIDE, box, observe, person, run, settings
 
 from mocap.tracking import _kernels, published_settings
 from mocap.tracking.claims import claim_of, frame_of
+from mocap.tracking.features import components_of
+from mocap.tracking.particle import exclusion, systematic
 from mocap.tracking.sparse import estimate, start
 from mocap.tracking.state import Track
 
@@ -155,6 +157,22 @@ def test_even_samples_stay_all_over_a_large_surface():
     assert error[True] < 0.85 * error[False]  # 0.58 over eight seeds of 40 frames
 
 
+@pytest.mark.parametrize("radius", [1, 2])
+def test_eight_voxels_at_a_time_say_the_same(radius):
+    """Also at the ends of the crop, where the neighbourhood reaches outside."""
+    rng = RNG(radius)
+    crop = rng.integers(0, 16, (7, 6, 24)).astype(np.uint8)
+    samples = np.argwhere(np.ones(crop.shape, dtype=bool))
+    one, two, three = np.empty((3, 3, len(samples)))
+    _kernels.local_shares(samples, radius, crop, *one)
+    _kernels.local_shares_in_words(samples, radius, crop.view(np.uint64), *two)
+    np.testing.assert_array_equal(one, two)
+    words = crop.view(np.uint64)
+    with np.errstate(over="ignore"):  # what leaves a word at its upper end is meant to
+        _kernels.local_shares_in_words.py_func(samples[::40], radius, words, *three[:, ::40])
+    np.testing.assert_array_equal(three[:, ::40], one[:, ::40])
+
+
 def test_crowd_counts_the_samples_around():
     crop = np.zeros((12, 9, 9), dtype=np.uint8)
     places = [(3, 4, 4), (4, 4, 4), (5, 4, 6), (9, 4, 4)]
@@ -175,9 +193,70 @@ def test_kernels_equal_their_python():
     np.testing.assert_array_equal(results[0], results[1])
     points = np.argwhere(crop & 1) * SIDE + SIDE / 2
     bins = rng.integers(-1, 5, len(points)).astype(np.int32)
-    similar = np.array([True, False, True, True, False])
-    crops = [np.zeros((6, 8, 10), dtype=np.uint8) for _ in range(2)]
-    _kernels.fill_crop(points, bins, similar, np.array([0.1, 0, 0]), SIDE, crops[0])
-    _kernels.fill_crop.py_func(points, bins, similar, np.array([0.1, 0, 0]), SIDE, crops[1])
-    np.testing.assert_array_equal(*crops)
+    byte_of = np.array(
+        [1, 7, 3, 7, 7, 3], dtype=np.uint8
+    )  # no colour, and five bins of which three are similar
+    parts = components_of(points, rng.integers(-1, 5, len(points)), SIDE)
+    groups = (points, parts.order, parts.start, parts.lower, parts.upper)
+    crops = [np.zeros((6, 8, 10), dtype=np.uint8) for _ in range(3)]
+    corner = np.array([0.1, 0, 0])
+    _kernels.fill_crop(*groups, bins, byte_of, corner, SIDE, crops[0])
+    _kernels.fill_crop.py_func(*groups, bins, byte_of, corner, SIDE, crops[1])
+    np.testing.assert_array_equal(crops[0], crops[1])
     assert (crops[0] & _kernels.SIMILAR).any()
+    # The same voxel by voxel: nobody's voxels are not there, without colours there is nothing but occupancy.
+    where = np.floor((points - corner) / SIDE + 1e-9).astype(int)
+    own = (parts.component_of >= 0) & ((where >= 0) & (where < (6, 8, 10))).all(axis=1)
+    expected = np.zeros((6, 8, 10), dtype=np.uint8)
+    expected[tuple(where[own].T)] = byte_of[bins[own] + 1]
+    np.testing.assert_array_equal(crops[0], expected)
+    _kernels.fill_crop(*groups, bins[:0], byte_of[:1], corner, SIDE, crops[2])
+    np.testing.assert_array_equal(crops[2], _kernels.OCCUPIED * (expected > 0))
+
+
+def test_samples_are_copied_as_by_systematic_resampling():
+    """The kernel against the function of the particle filter, and against its Python."""
+    rng = RNG(2)
+    for _ in range(30):
+        m, n = rng.integers(1, 40, 2)
+        weights = rng.random(m) * (rng.random(m) < 0.7) + 1e-12
+        samples, offset = rng.random((m, 3)), rng.random()
+        fast, slow = np.empty((2, n, 3), dtype=np.int64)
+        corner = np.array([-0.2, -0.1, 0.0])
+        _kernels.systematic_voxels(samples, weights, offset, corner, SIDE, fast)
+        _kernels.systematic_voxels.py_func(samples, weights, offset, corner, SIDE, slow)
+        np.testing.assert_array_equal(fast, slow)
+        chosen = systematic(weights, n, offset)
+        np.testing.assert_array_equal(fast, np.floor((samples[chosen] - corner) / SIDE))
+
+
+@pytest.mark.parametrize(("n_others", "is_even"), [(0, True), (2, True), (2, False)])
+def test_weights_mean_and_covariance_are_those_of_the_formulas(n_others, is_even):
+    """CF Eq. 4.12 to 4.19 in numpy against the kernel, and the kernel against its Python."""
+    rng = RNG(n_others)
+    likelihood, crowd = rng.random(60), rng.integers(1, 9, 60).astype(float)
+    others, centre = rng.random((n_others, 2)), np.array([0.4, 0.5, 0.6])
+    placed, corner = rng.integers(0, 20, (60, 3)), np.array([0.1, 0.05, 0.0])
+    points = corner + (placed + 0.5) * SIDE
+    fast, slow, where = np.empty(60), np.empty(60), np.empty((60, 3))
+    arguments = (placed, corner, SIDE, centre, 0.4, likelihood, is_even, crowd, others, 1 / 0.3**2, where)
+    total, mean, covariance = _kernels.weigh_samples(*arguments, fast)
+    np.testing.assert_allclose(where, points)
+    for a, b in zip(_kernels.weigh_samples.py_func(*arguments, slow), (total, mean, covariance), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
+    near = ((points[:, :2] - centre[:2]) ** 2).sum(axis=1) <= 0.4**2
+    assert 0 < near.sum() < 60
+    w = np.where(near, likelihood, 0) / (crowd if is_even else 1) * exclusion(points[:, :2], others, 0.3)
+    assert total == pytest.approx(w.sum())
+    w /= w.sum()
+    np.testing.assert_allclose(fast, w, atol=1e-15)
+    np.testing.assert_allclose(slow, w, atol=1e-15)
+    np.testing.assert_allclose(mean, w @ points)
+    centred = points - w @ points
+    np.testing.assert_allclose(covariance, (w[:, None] ** 2 * centred).T @ centred, atol=1e-15)
+    # Nobody within reach: zeros, and nothing that is no number.
+    arguments = (placed, corner + 5.0, SIDE, centre, 0.4, likelihood, is_even, crowd, others, 1.0, where)
+    nothing = _kernels.weigh_samples(*arguments, fast)
+    assert nothing[0] == 0.0
+    assert not np.any(nothing[1])
+    assert not np.any(nothing[2])

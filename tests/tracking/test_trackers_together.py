@@ -17,6 +17,8 @@ from mocap.tracking import (
     track_clip,
     track_step,
 )
+from mocap.tracking.claims import _with_parts, claim_of, frame_of, part_claim
+from mocap.tracking.features import components_of
 
 WALK = [
     person(-1.2 + 0.06 * i, -0.6, RED) + person(1.2 - 0.05 * i, 0.6, BLUE, height=1.55) for i in range(25)
@@ -217,6 +219,8 @@ def kernel_calls():
     rng = np.random.default_rng(8)
     points, labels = rng.random((80, 3)), rng.integers(-1, 4, 80)
     centers, axes = rng.random((3, 3)), rng.random((3, 3)) + 0.2
+    parts = components_of(points, labels, 0.1)
+    groups = (points, parts.order, parts.start, parts.lower, parts.upper)
     count = np.bincount(labels[labels >= 0], minlength=4)
     first = np.r_[0, np.cumsum(count)]
     order = np.argsort(labels, kind="stable")[-count.sum() :]
@@ -239,7 +243,10 @@ def kernel_calls():
         ),
         "measure_groups": lambda fn: write(fn, points, order, first, out=[empty(4, 3) for _ in range(3)]),
         "ellipsoid_distances": lambda fn: write(fn, points, centers, axes, out=[empty(3, 80)]),
-        "count_votes": lambda fn: write(fn, points, labels, centers, axes, out=[whole(3, 4), whole(3, 4)]),
+        "count_votes": lambda fn: write(fn, *groups, centers, axes, out=[whole(3, 4), whole(3, 4)]),
+        "rows_in_box": lambda fn: write(fn, *groups, np.full(2, 0.2), np.full(2, 0.7), out=[whole(80)]),
+        "extent": lambda fn: fn(points),
+        "mark_similar": lambda fn: write(fn, points[:, 0], 0.6, 4, out=[np.ones(81, dtype=np.uint8)]),
         "voxel_centers": lambda fn: write(fn, voxels, 5, 7, origin, 0.05, out=[empty(50, 3)]),
     }
 
@@ -250,6 +257,40 @@ def test_shared_kernels_equal_their_python(name):
     for fast, slow in zip(call(kernel), call(kernel.py_func), strict=True):
         np.testing.assert_allclose(fast, slow, rtol=1e-12)
         assert np.any(fast != 0)
+
+
+def test_votes_and_boxes_agree_with_numpy():
+    """Components in spheres that reach into one another, counted voxel by voxel."""
+    rng = np.random.default_rng(3)
+    points = rng.random((500, 3)) + np.repeat(np.arange(5), 100)[:, None] * [0.7, 0.2, 0.0]
+    labels = np.repeat([0, 3, -1, 1, 2], 100)
+    centers, axes = np.array([[0.5, 0.5, 0.5], [0.9, 0.6, 0.5], [3.0, 0.7, 0.4]]), np.full((3, 3), 0.45)
+    p = components_of(points, labels, 0.1)
+    exclusive, every = np.zeros((2, 3, 4), dtype=np.int64)
+    groups = (points, p.order, p.start, p.lower, p.upper)
+    _kernels.count_votes(*groups, centers, axes, exclusive, every)
+    inside = (((points[None] - centers[:, None]) / 0.45) ** 2).sum(axis=2) <= 1
+    alone = inside & (inside.sum(axis=0) == 1)
+    for k in range(4):
+        np.testing.assert_array_equal(every[:, k], inside[:, p.component_of == k].sum(axis=1))
+        np.testing.assert_array_equal(exclusive[:, k], alone[:, p.component_of == k].sum(axis=1))
+    assert (exclusive != every).any()
+    low, high, out = np.array([0.4, 0.3]), np.array([1.6, 0.9]), np.zeros(500, dtype=np.int64)
+    rows = out[: _kernels.rows_in_box(*groups, low, high, out)]
+    wanted = ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1) & (labels >= 0)
+    np.testing.assert_array_equal(np.sort(rows), np.flatnonzero(wanted))
+
+
+def test_claim_with_loose_parts_is_measured_as_a_whole():
+    frame = frame_of(observe([*person(0, 0, RED), box(0, 0.4, 0.1, 0.1, 1.3, 1.4, RED)]), settings())
+    (body, hand) = (part_claim(frame, k) for k in np.argsort(-frame.parts.weight_kg))
+    both = _with_parts(frame, body, np.array([int(np.argmin(frame.parts.weight_kg))]))
+    whole = claim_of(frame, np.sort(np.r_[body.voxels, hand.voxels]))
+    np.testing.assert_array_equal(both.voxels, whole.voxels)
+    np.testing.assert_allclose(both.box, whole.box)
+    np.testing.assert_allclose(both.centroid, whole.centroid, atol=1e-12)
+    for name, value in vars(whole.features).items():
+        assert getattr(both.features, name) == pytest.approx(value)
 
 
 def test_centres_and_groups_agree_with_numpy():

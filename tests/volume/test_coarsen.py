@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocap.data import VoxelGrid
-from mocap.volume import coarsen, connected_components
+from mocap.volume import _coarsen_kernels, coarsen, connected_components
 
 GRID = VoxelGrid(np.array([-0.4, 0.2, 0.0]), (31, 24, 45), 0.02)
 
@@ -89,3 +89,81 @@ def test_bodies_stay_apart_and_nothing_is_nothing():
 def test_finer_voxels_are_refused():
     with pytest.raises(ValueError, match=r"voxel_size_m is 0\.01"):
         coarsen(np.zeros(0, dtype=np.int32), GRID, 0.01)
+
+
+def by_sorting(voxels, grid, side, rgb, known):
+    """The same with numpy: sort the coarse cells, then look for every loose voxel's 26 neighbours one by one."""
+    upper = grid.origin + np.array(grid.shape) * grid.voxel_size_m
+    coarse = VoxelGrid.from_bounds(grid.origin, upper, side)
+    ratio = grid.voxel_size_m / side
+    axes = [
+        np.minimum(np.floor((np.arange(n) + 0.5) * ratio + 1e-9).astype(int), m - 1)
+        for n, m in zip(grid.shape, coarse.shape, strict=True)
+    ]
+    subs = grid.subscripts(voxels)
+    cell = np.column_stack([axis[subs[:, i]] for i, axis in enumerate(axes)])
+    rooms = [np.bincount(axis, minlength=m) for axis, m in zip(axes, coarse.shape, strict=True)]
+    found, count = np.unique(cell, axis=0, return_counts=True)
+    room = np.prod([r[found[:, i]] for i, r in enumerate(rooms)], axis=0)
+    occupied = found[2 * count >= room]
+    row_of = np.array([next((k for k, o in enumerate(occupied) if (o == c).all()), -1) for c in cell])
+    own = row_of.copy()
+    for i in np.flatnonzero(row_of < 0):
+        beside = np.flatnonzero(np.abs(occupied - cell[i]).max(axis=1) <= 1)
+        if len(beside):
+            gap = np.linalg.norm(occupied[beside] + 0.5 - (subs[i] + 0.5) * ratio, axis=1)
+            row_of[i] = beside[np.argmin(gap)]
+    colours = np.zeros((len(occupied), 3), dtype=np.uint8)
+    has = np.zeros(len(occupied), dtype=bool)
+    for k in range(len(occupied)):
+        mine = (own == k) & known
+        if mine.any():
+            has[k] = True
+            colours[k] = np.floor(rgb[mine].mean(axis=0) + 0.5)
+    return coarse.linear(occupied), colours, has, row_of
+
+
+@pytest.mark.parametrize("side", [0.02, 0.03, 0.05, 0.07])
+def test_blocks_and_sorting_agree(side):
+    """Noise of which a part of the cells is half full, in a grid that is no multiple of them as well."""
+    grid = VoxelGrid(np.array([0.3, -0.2, 0.0]), (11, 8, 13), 0.02)
+    rng = np.random.default_rng(int(side * 100))
+    voxels = np.flatnonzero(rng.random(grid.n_voxels) < 0.45).astype(np.int32)
+    rgb = rng.integers(0, 256, (len(voxels), 3), dtype=np.uint8)
+    known = rng.random(len(voxels)) < 0.2
+    coarse = coarsen(voxels, grid, side, rgb, known)
+    expected = by_sorting(voxels, grid, side, rgb, known)
+    for ours, theirs in zip(
+        (coarse.voxels, coarse.rgb, coarse.has_colour, coarse.row_of), expected, strict=True
+    ):
+        np.testing.assert_array_equal(ours, theirs)
+    assert len(coarse.voxels) > 0
+
+
+def test_kernels_equal_their_python():
+    grid = VoxelGrid(np.zeros(3), (7, 6, 9), 0.02)
+    rng = np.random.default_rng(5)
+    subs = np.argwhere(rng.random(grid.shape) < 0.4).astype(np.int32)
+    cells = [np.arange(n) * 2 // 5 for n in grid.shape]
+    rooms = [np.bincount(c) for c in cells]
+    lower, shape = np.zeros(3, dtype=np.int64), tuple(int(c[-1]) + 1 for c in cells)
+    rgb = rng.integers(0, 256, (len(subs), 3), dtype=np.uint8)
+    results = []
+    for kind in ("fast", "slow"):
+        f = {
+            name: getattr(_coarsen_kernels, name)
+            if kind == "fast"
+            else getattr(_coarsen_kernels, name).py_func
+            for name in ("count_cells", "number_full_cells", "rows_of_fine", "mean_colours")
+        }
+        count, row = np.zeros(shape, dtype=np.int32), np.empty(shape, dtype=np.int32)
+        voxels, row_of = np.zeros(count.size, dtype=np.int32), np.empty(len(subs), dtype=np.int64)
+        place = f["count_cells"](subs, *cells, lower, count)
+        n = f["number_full_cells"](count, *rooms, lower, *shape[1:], row, voxels)
+        f["rows_of_fine"](subs, place, lower, 0.4, row, row_of)
+        total, coloured = np.zeros((n, 3), dtype=np.int64), np.zeros(n, dtype=np.int64)
+        f["mean_colours"](place, row, rgb, np.arange(len(subs)) % 3 > 0, total, coloured)
+        results.append((place, count, row, voxels, row_of, total, coloured))
+    for fast, slow in zip(*results, strict=True):
+        np.testing.assert_array_equal(fast, slow)
+        assert np.any(fast)
