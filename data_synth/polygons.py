@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from mocap.data.polygons import PolygonTree, corner_positions, star_tree
 from mocap.likelihood.polygons import (
+    FOREGROUND_BIT,
     PolygonLikelihoodSettings,
     PolygonProblem,
     colour_bins,
@@ -49,6 +50,7 @@ PALETTE = np.array(
     ],
     dtype=np.uint8,
 )
+_BINS_OF_LABEL = colour_bins(PALETTE[None], np.zeros((1, len(PALETTE)), dtype=np.bool_))[0]
 _N_ARM_COLOURS = len(PALETTE) - 2
 _SHIFT_BITS = 4  # corners are drawn to 1/16 pixel
 
@@ -133,10 +135,19 @@ class PolygonScene:
 
     def bins(self, frame: int) -> NDArray[np.uint16]:
         """Colour bins of a frame with its foreground: the pixels that differ from the empty picture."""
-        labels = self.labels(frame)
-        by_label = colour_bins(PALETTE[None])[0]
-        unlike = colour_bins(PALETTE[None], np.zeros((1, len(PALETTE)), dtype=np.bool_))[0]
-        return np.where(labels != self.background, by_label[labels], unlike[labels])
+        out = self._empty_bins.copy()
+        low = np.maximum(np.floor(self.corners[frame].min(axis=0)).astype(np.int64) - 2, 0)
+        high = np.maximum(np.ceil(self.corners[frame].max(axis=0)).astype(np.int64) + 3, 0)
+        box = np.s_[low[1] : high[1], low[0] : high[0]]  # the objects; elsewhere the picture is empty
+        labels = self.labels(frame)[box]
+        foreground = np.where(labels != self.background[box], FOREGROUND_BIT, np.uint16(0))
+        out[box] = _BINS_OF_LABEL[labels] | foreground
+        return out
+
+    @cached_property
+    def _empty_bins(self) -> NDArray[np.uint16]:
+        """Colour bins of the empty picture (H, W)."""
+        return _BINS_OF_LABEL[self.background]
 
     def problem(self, frame: int, settings: PolygonLikelihoodSettings | None = None) -> PolygonProblem:
         """The articulated problem of a frame; reference histograms are those of the true state in frame 0."""

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from eval.decomposition.published import XN_TABLE_5_1
+from eval.decomposition.published import SW_TABLE_1, XN_TABLE_5_1
 from eval.decomposition.store import RESULTS, ROOT
 from eval.decomposition.tables import read_csv
+from eval.decomposition_regimes import CELLS_4_5, WORLDS_WITH_MORE
 
 PAGE = ROOT / "docs" / "results-decomposition.md"
 NOTES = ROOT / "docs" / "results-decomposition-notes.md"
@@ -35,15 +36,39 @@ the other, on the same scenes; its 95 % interval is a paired bootstrap over runs
 excludes 1.
 
 Commands: `python -m eval.decomposition_sw_tables`, `..._xn_4`, `..._xn_5`, `..._xn_6`, `..._sharpness`, `..._steps`,
-`..._3d`, each with `--full` for all cells and 20 runs. What stands here was made without it; 10 runs per cell come
-from `--scenes 5 --runs 2`; [how to read it](#how-to-read-it) stands at the end.
+`..._regimes`, `..._3d`, each with `--full` for all cells and 20 runs. What stands here was made without it; 10 runs per
+cell come from `--scenes 5 --runs 2`; [how to read it](#how-to-read-it) stands at the end.
 """
 
 SHARPNESS_HEAD = """Swapping needs copies, and resampling makes copies only where weights differ. Four arms; `sw` is
 SW Table 1 with lambda = 50, `sw_200` the same with lambda = 200."""
 
-STEPS_HEAD = """An annealed filter walks in its last layer by 0.71 of the noise. "SBPS x 0.71" walks by 0.71 of the
-noise of SW Table 1 too; the last layer of "APF x 1.41" walks by all of it."""
+STEPS_HEAD = """"SBPS x 0.71" walks by 0.71 of the noise of SW Table 1. An annealed filter of two layers walks twice, by
+the noise and by 0.71 of it."""
+
+REGIMES_HEAD = """What the sources leave open or we may have read otherwise, changed one at a time on scenes of their
+own (seeds from 1000, 10 runs of 100 frames; `python -m eval.decomposition_regimes`, where the expectations stand that
+were written down, most of them before). Columns are worlds: `reported` is that of the tables above, the others differ
+from it in one thing. Numbers are ratios, the published better one over the other; **bold**: decided for, *slanted*:
+decided against. Left to right in a field: {cells}."""
+
+AS_PRINTED_HEAD = """Scenes and numbers of evaluations are those of XN chapters 4 and 5 above. *PFCR as printed*: drawn
+particles keep the product of their weights (XN Alg. 5.1), which counts the evidence of a set twice; ours have equal
+weights. *beta <= 1*: an annealed layer smooths, as XN 3.2.1 has it; ours takes the exponent that the survival rate asks
+for, which on single parts is 1 to 4. Command: `python -m eval.decomposition_as_printed`."""
+
+WORLD_WORDS = {
+    "": "reported",
+    "by-hand": "start by hand",
+    "log": "log distance",
+    "absolute": "absolute angles",
+    "absolute-film": "absolute angles, film too",
+    "fast": "twice as fast",
+    "141": "walk x 1.41",
+    "15": "lambda = 15",
+    "200": "lambda = 200",
+    "colour-only": "colour only",
+}
 
 Line = dict[str, str]
 
@@ -127,6 +152,113 @@ def by_cell(claims: Sequence[Line]) -> list[str]:
         if c["verdict"] != "none":
             order = f"{c['better']} / {c['worse']}"
             out.append(_row([c["cell"], order, c["runs"], c["ratio"], f"{c['low']} to {c['high']}"]))
+    return out
+
+
+def by_world(claims: Sequence[Line], keys: Sequence[tuple[str, ...]], fields: Sequence[str]) -> list[str]:
+    """Orders down, worlds across; in a field the ratios of the cells in order.
+
+    fields : what tells the cells of a world apart; keys : their values, in the order of the ratios.
+    """
+    found: dict[tuple[str, str], dict[tuple[str, ...], Line]] = {}
+    worlds: list[str] = []
+    for claim in claims:
+        cell = dict(item.split("=") for item in claim["cell"].split(", "))
+        world = cell["world"]
+        if claim["verdict"] != "none" and world not in worlds:
+            worlds.append(world)
+        key = tuple(cell[field] for field in fields)
+        found.setdefault((f"{claim['better']} / {claim['worse']}", world), {})[key] = claim
+    out = [_row(["order", *(world_words(w) for w in worlds)]), _rule(1 + len(worlds))]
+    for order in dict.fromkeys(order for order, _ in found):
+        texts = []
+        for world in worlds:
+            own = found.get((order, world), {})
+            texts.append(" ".join(_ratio(own[key]) for key in keys if key in own))
+        out.append(_row([order, *texts]))
+    return out
+
+
+def _ratio(claim: Line) -> str:
+    mark = {"yes": "**", "no": "*"}.get(claim["verdict"], "")
+    return f"{mark}{float(claim['ratio']):.2f}{mark}" if claim["ratio"] else "-"
+
+
+def world_words(world: str) -> str:
+    """What a world of eval.decomposition_regimes changes, in words."""
+    return WORLD_WORDS.get(world.partition("_")[2], world)
+
+
+def floors(lines: Sequence[Line], worlds: Sequence[str]) -> list[str]:
+    """Errors at N = 50 and 300 and their spread over the runs of a scene, |P_j| = 4, K = 3: ours beside SW Table 1."""
+    names = ["world", "filter", "N = 50", "N = 300", "300 / 50", "spread at 50", "at 300"]
+    out = [_row(names), _rule(len(names))]
+
+    def line(world: str, method: str, few: tuple[float, float], many: tuple[float, float]) -> str:
+        spread = [f"{100 * std / error:.0f} %" for error, std in (few, many)]
+        ratio = f"{many[0] / few[0]:.2f}"
+        return _row([world, method, f"{few[0]:.0f}", f"{many[0]:.0f}", ratio, *spread])
+
+    for name in ("ps", "sbps"):
+        printed = [SW_TABLE_1[name, n, 3] for n in (50, 300)]
+        out.append(line("*published*", name.upper(), printed[0], printed[1]))
+    for world in worlds:
+        for method in ("PS", "SBPS"):
+            own = {
+                line["cell"]: (float(line["error_px"]), float(line["std_in_scene_px"]))
+                for line in lines
+                if line["method"] == method
+            }
+            cells = [f"world={world}, n_arms=4, n_levels=3, n_evaluations={n}" for n in (50, 300)]
+            if all(cell in own for cell in cells):
+                out.append(line(world_words(world), method, own[cells[0]], own[cells[1]]))
+    return out
+
+
+def regimes() -> list[str]:
+    """The section on other readings; nothing without results."""
+    lines = read_csv(RESULTS / "decomposition_regimes.csv")
+    claims = read_csv(RESULTS / "decomposition_regimes_ranking.csv")
+    out: list[str] = []
+    four = [c for c in claims if c["table"] == "Regimes, XN 4-5"]
+    if four:
+        keys = [tuple(map(str, cell)) for cell in CELLS_4_5]
+        words = "; ".join(f"\\|P_j\\| = {a}, K = {k}, N = {n}" for a, k, n in CELLS_4_5)
+        out += ["## Other readings of the experiment (ours)", "", REGIMES_HEAD.format(cells=words), ""]
+        out += [*by_world(four, keys, ("|P_j|", "K", "N")), ""]
+        out += [
+            "Errors in px with few and with many particles, and their spread over the runs of a scene:",
+            "",
+        ]
+        out += [*floors(lines, WORLDS_WITH_MORE), ""]
+    six = [c for c in claims if c["table"] == "Regimes, XN 6"]
+    if six:
+        out += [
+            "XN Table 6.1, \\|P_j\\| = 4, K = 4, N = 50, no clutter:",
+            "",
+        ]
+        out += [*by_world(six, [("0",), ("40",)], ("clutter",)), ""]
+    return out
+
+
+def as_printed() -> list[str]:
+    """The section on the two algorithms read to the letter; nothing without results."""
+    claims = read_csv(RESULTS / "decomposition_as_printed_ranking.csv")
+    if not claims:
+        return []
+    out = ["## The same orders with two algorithms read to the letter", "", AS_PRINTED_HEAD, ""]
+    return [*out, *ranking(claims), "", *by_order(claims), ""]
+
+
+def intervals(claims: Sequence[Line]) -> list[str]:
+    """Every published order of every cell with its ratio, interval and what was published."""
+    names = ["table", "cell", "order", "runs", "ratio", "95 %", "published"]
+    out = [_row(names), _rule(len(names))]
+    for c in claims:
+        if c["verdict"] != "none":
+            order = f"{c['better']} / {c['worse']}"
+            bounds = f"{c['low']} to {c['high']}"
+            out.append(_row([c["table"], c["cell"], order, c["runs"], c["ratio"], bounds, c["published"]]))
     return out
 
 
@@ -251,10 +383,12 @@ def page() -> str:
     if steps:
         out += ["## Width of the walk (ours)", "", STEPS_HEAD, "", *errors(steps), ""]
         out += [*by_cell(read_csv(RESULTS / "decomposition_steps_ranking.csv")), ""]
+    out += [*as_printed(), *regimes()]
     bodies = read_csv(RESULTS / "decomposition_3d.csv")
     if bodies:
         out += ["## 3D bodies: mean landmark error, mm", "", "![3D](../eval/results/decomposition_3d.png)"]
         out += [*body_table(bodies), ""]
+    out += ["## Every published order with its interval", "", *intervals(claims), ""]
     if NOTES.exists():
         out.append(NOTES.read_text(encoding="utf-8"))
     return "\n".join(out)

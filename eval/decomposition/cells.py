@@ -12,9 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.polygons import SMALL, PolygonScene, PolygonSceneSettings, make_polygon_scene
+from eval.decomposition.readings import (
+    AbsoluteAngles,
+    LogDistanceProblem,
+    settings_name,
+    step_of,
+    to_relative,
+)
 from mocap.data.polygons import PolygonTree, corner_positions, object_trees
-from mocap.filters import FILTERS, ParticleState, initial_particles
-from mocap.likelihood.polygons import PolygonLikelihoodSettings, PolygonProblem, random_walk_std
+from mocap.data.problem import ArticulatedProblem
+from mocap.filters import ParticleState, initial_particles
+from mocap.likelihood.polygons import (
+    PolygonLikelihoodSettings,
+    PolygonProblem,
+    part_histograms,
+    random_walk_std,
+)
 from mocap.metrics import corner_error
 
 Array = NDArray[np.float64]
@@ -25,12 +38,21 @@ class World:
     """What is common to the experiments of one source.
 
     std_px, std_rad : random walk of the filters.
+    The rest is read otherwise in eval.decomposition_regimes only.  is_log_distance : `LogDistanceProblem`.
+    has_absolute_state, has_absolute_motion : angles of the parts in the picture, for the filters and in the film.
+    start_px, start_rad : standard deviation of a start set by hand, of its centre and of every part's angle; the
+    reference histograms are taken there.
     """
 
     scene: PolygonSceneSettings
     std_px: float
     std_rad: float
     likelihood: PolygonLikelihoodSettings
+    is_log_distance: bool = False
+    has_absolute_state: bool = False
+    has_absolute_motion: bool = False
+    start_px: float = 0.0
+    start_rad: float = 0.0
 
 
 _LARGE = PolygonSceneSettings(n_arms=4, n_levels=4)
@@ -66,6 +88,23 @@ for _percent in STEP_WIDTHS:
     WORLDS[f"step_{_percent}"] = replace(
         WORLDS["sw"], std_px=_factor * WORLDS["sw"].std_px, std_rad=_factor * WORLDS["sw"].std_rad
     )
+
+# Other readings of the published experiment, one at a time, on the worlds of SW and XN 4-5 and of XN 6.
+for _base in ("sw", "xn6"):
+    _world = WORLDS[_base]
+    _scene = _world.scene
+    WORLDS |= {
+        # "The polygons are manually positioned in the first frame" (SW 6.2).
+        f"{_base}_by-hand": replace(_world, start_px=2.0, start_rad=0.08),
+        f"{_base}_log": replace(_world, is_log_distance=True),
+        f"{_base}_fast": replace(
+            _world, scene=replace(_scene, speed_px=2 * _scene.speed_px, speed_rad=2 * _scene.speed_rad)
+        ),
+        # x^k = (x, y, theta) of part k (XN 4.4.2).
+        f"{_base}_absolute": replace(_world, has_absolute_state=True),
+        f"{_base}_absolute-film": replace(_world, has_absolute_state=True, has_absolute_motion=True),
+        f"{_base}_colour-only": replace(_world, likelihood=replace(_world.likelihood, lambda_silhouette=0.0)),
+    }
 
 
 @dataclass(frozen=True, order=True)
@@ -137,9 +176,25 @@ def scene_of(key: SceneKey) -> PolygonScene:
     )
     if key.n_frames:
         settings = replace(settings, n_frames=key.n_frames)
-    return make_polygon_scene(
-        settings, rng=np.random.default_rng([key.seed, key.n_arms, key.n_levels, key.n_objects])
-    )
+    scene = make_polygon_scene(settings, rng=np.random.default_rng(_scene_seed(key)))
+    if WORLDS[key.world].has_absolute_motion:
+        scene = replace(scene, states=scene.states @ to_relative(scene.tree).T)
+    return scene
+
+
+def _scene_seed(key: SceneKey) -> list[int]:
+    return [key.seed, key.n_arms, key.n_levels, key.n_objects]
+
+
+def start_of(key: SceneKey, scene: PolygonScene) -> Array:
+    """The state (D,), angles against the parent, at which the filters start; the same in all runs of a scene."""
+    world, tree = WORLDS[key.world], scene.tree
+    draw = np.random.default_rng([_START, *_scene_seed(key)]).standard_normal(tree.layout.n_columns)
+    error = random_walk_std(tree.layout, world.start_px, world.start_rad) * draw
+    return np.asarray(scene.states[0] + to_relative(tree) @ error, dtype=np.float64)
+
+
+_START = 41  # apart from the seeds of the motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +212,15 @@ class _Run:
 
     def __init__(self, scene: PolygonScene, cell: Cell) -> None:
         self.cell, self.scene, self.world = cell, scene, WORLDS[cell.scene.world]
+        start = start_of(cell.scene, scene)
+        self.reference = scene.reference
+        if self.world.start_px or self.world.start_rad:
+            self.reference = part_histograms(scene.tree, scene.bins(0), start[None])[0][0]
+        self.to_relative = to_relative(scene.tree) if self.world.has_absolute_state else None
+        if self.to_relative is not None:
+            start = np.linalg.solve(self.to_relative, start).astype(np.float64)
         self.estimates = np.full_like(scene.states, np.nan)
-        self.estimates[0] = scene.states[0]
+        self.estimates[0] = start
         self.seconds: dict[str, float] = {}
         self.step_s = 0.0
         self.n_evaluations = 0
@@ -168,7 +230,7 @@ class _Run:
         problems = [self._problem(track, scene.bins(0)) for track in self.tracks]
         self.states = [
             initial_particles(
-                problem, scene.states[0, track.columns], max(2, cell.run.n_evaluations // cell.run.n_layers)
+                problem, start[track.columns], max(2, cell.run.n_evaluations // cell.run.n_layers)
             )
             for problem, track in zip(problems, self.tracks, strict=True)
         ]
@@ -184,7 +246,7 @@ class _Run:
         run = self.cell.run
         std = random_walk_std(tree.layout, self.world.std_px, self.world.std_rad)
         settings = settings_for(
-            run.filter,
+            settings_name(run.filter),
             layout=tree.layout,
             std=std,
             n_particles=run.n_evaluations // run.n_layers,
@@ -195,9 +257,12 @@ class _Run:
         parts = np.array([self.scene.tree.layout.parts.index(name) for name in tree.layout.parts])
         return _Track(tree, columns, parts, settings)
 
-    def _problem(self, track: _Track, bins: NDArray[np.uint16]) -> PolygonProblem:
-        reference = self.scene.reference[track.parts]
-        return PolygonProblem(track.tree, bins, reference, self.world.likelihood)
+    def _problem(self, track: _Track, bins: NDArray[np.uint16]) -> ArticulatedProblem:
+        make = LogDistanceProblem if self.world.is_log_distance else PolygonProblem
+        problem = make(track.tree, bins, self.reference[track.parts], self.world.likelihood)
+        if self.to_relative is None:
+            return problem
+        return AbsoluteAngles(problem, self.to_relative[np.ix_(track.columns, track.columns)])
 
     def step(self, frame: int, bins: NDArray[np.uint16]) -> None:
         """Filter one frame; a failure ends the run and is kept as its status."""
@@ -213,7 +278,7 @@ class _Run:
         problem = self._problem(track, bins)
         begun = time.perf_counter()
         state: ParticleState = self.states[i]
-        self.states[i], info = FILTERS[self.cell.run.filter](problem, state, track.settings, rng=self.rng)
+        self.states[i], info = step_of(self.cell.run.filter)(problem, state, track.settings, rng=self.rng)
         self.step_s += time.perf_counter() - begun
         self.estimates[frame, track.columns] = info.estimate
         self.n_evaluations += info.n_evaluations
@@ -225,7 +290,10 @@ class _Run:
         row = self.cell.key() | dict.fromkeys(VALUE_FIELDS, "")
         if self.failure:
             return row | {"status": self.failure}
-        error = corner_error(corner_positions(self.scene.tree, self.estimates), self.scene.corners)[1:]
+        states = self.estimates
+        if self.to_relative is not None:
+            states = states @ self.to_relative.T
+        error = corner_error(corner_positions(self.scene.tree, states), self.scene.corners)[1:]
         frames = np.arange(1, len(error) + 1)
         strong = np.zeros(len(error), dtype=np.bool_)
         for first, last in self.scene.settings.strong_frames:

@@ -39,6 +39,11 @@ LABELS = {
     "shbm-apf": "SHBM-APF",
     "ddma-pf": "DDMA-PF",
     "shbm-ddma-pf": "SHBM-DDMA-PF",
+    "pfcr-printed": "PFCR as printed",
+    "psapf-smooth": "APF, beta <= 1",
+    "sbapf-smooth": "SBAPF, beta <= 1",
+    "hapsopf-drawn": "HAPSOPF, drawn",
+    "hapsopf-narrow": "HAPSOPF, alpha_0 = 0.1",
 }
 
 _QUICK_FRAMES = 150  # both weak and strong motion

@@ -60,6 +60,15 @@ class PolygonTree:
         return np.array([self.layout.columns_of(p)[0] for p in range(self.layout.n_parts)])
 
     @cached_property
+    def is_ancestor(self) -> NDArray[np.bool_]:
+        """(P, P) whether part q holds part p, itself included, at [p, q]."""
+        out = np.eye(self.layout.n_parts, dtype=np.bool_)
+        for p, q in enumerate(self.layout.parent_of_part):
+            if q >= 0:
+                out[p] |= out[q]
+        return out
+
+    @cached_property
     def chain(self) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.int64], Array, NDArray[np.int64]]:
         """What kernels need: parent, offset, rest angle, first column, corners, corner start."""
         parent = self.layout.parent_of_part

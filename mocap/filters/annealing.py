@@ -9,6 +9,7 @@ from mocap.filters.weights import normalise_log_weights, survival_rate
 
 Array = NDArray[np.float64]
 
+BETA_MAX = 1e6  # all likelihoods are equal, as far as any filter cares
 _BETA_TOLERANCE = 1e-4  # relative to the survival rate: far below the sampling noise of ESS
 _MAX_ITERATIONS = 100
 
@@ -28,7 +29,7 @@ def survival_at(log_likelihood: Array, beta: float) -> float:
     return survival_rate(weights)
 
 
-def next_beta(log_likelihood: Array, target: float, *, beta_max: float = 1e6) -> float:
+def next_beta(log_likelihood: Array, target: float, *, beta_max: float = BETA_MAX) -> float:
     """The exponent beta for which ESS / N of w^beta equals `target`, by regula falsi (Illinois variant).
 
     log_likelihood : (N,).  target : in (1/N, 1). The survival rate falls monotonically with beta. Returns 0 when
@@ -45,9 +46,15 @@ def next_beta(log_likelihood: Array, target: float, *, beta_max: float = 1e6) ->
         return 0.0
     ll = np.where(alive, ll - ll[alive].max(), -np.inf)
 
+    n, all_alive = len(ll), bool(alive.all())
+
     def excess(beta: float) -> float:
         # log of ESS / N is close to linear in log beta near the root, and its sign is that of the excess.
-        return float(np.log(survival_at(ll, beta) / target))
+        if not all_alive:
+            return float(np.log(survival_at(ll, beta) / target))
+        w = np.exp(beta * ll)  # what survival_at does, to the bit, without its checks: the largest is exp(0)
+        w /= w.sum()
+        return float(np.log(min(max(1.0 / (w * w).sum(), 1.0), n) / n / target))
 
     spread = max(-float(np.median(ll[alive])), 1e-12)
     low, high = 0.0, min(1.0 / spread, beta_max)

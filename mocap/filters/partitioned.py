@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mocap.data.problem import ArticulatedProblem, StateLayout
 from mocap.filters._kernels import exchange_kernel
-from mocap.filters.annealing import annealed, layer_scales, next_beta
+from mocap.filters.annealing import BETA_MAX, annealed, layer_scales, next_beta
 from mocap.filters.apf import FilterInfo, ParticleState
 from mocap.filters.estimate import weighted_mean
 from mocap.filters.parts import columns_in, owners, part_scores, require_parts
@@ -119,13 +119,14 @@ def partitioned_step(
     counts_as: str = "swapping",
     n_layers: int = 1,
     alpha: float = 0.5,
+    beta_max: float = BETA_MAX,
 ) -> tuple[ParticleState, FilterInfo]:
     """One frame: for every set of parts resample, propagate its columns, score it, and recombine.
 
     sets : indices of the parts that are processed together, parents before children. recombination : exchanges
-    parts between the weighted particles of a set; counts_as : the name of its time in `seconds`. n_layers, alpha :
-    annealing inside every set; the last layer's weights are the likelihood itself. The particles come back weighted:
-    the next frame resamples them.
+    parts between the weighted particles of a set; counts_as : the name of its time in `seconds`. n_layers, alpha,
+    beta_max : annealing inside every set; the last layer's weights are the likelihood itself. The particles come back
+    weighted: the next frame resamples them.
     `beta` and `ess` have one entry for each layer of each set; `best` counts every part as it was scored when placed.
     Source: XN Alg. 3.1, Eq. 3.1, 4.2-4.3.
     """
@@ -142,7 +143,8 @@ def partitioned_step(
             with tally.watch.of("resampling"):
                 partial = partial.take(resample(partial.weights, n, rng=rng))
             partial = _placed(problem, partial, parts, done, settings.std * scale, tally, rng=rng)
-            partial = _weighed(partial, parts, alpha if layer + 1 < n_layers else None, tally)
+            survival = alpha if layer + 1 < n_layers else None
+            partial = _weighed(partial, parts, survival, beta_max, tally)
         if recombination is not None:
             with tally.watch.of(counts_as):
                 partial = recombination(layout, partial, parts, scheme=settings.resampling, rng=rng)
@@ -185,10 +187,12 @@ def _placed(
     return Partial(moved, partial.weights, scores, placed)
 
 
-def _weighed(partial: Partial, parts: list[int], survival: float | None, tally: _Tally) -> Partial:
+def _weighed(
+    partial: Partial, parts: list[int], survival: float | None, beta_max: float, tally: _Tally
+) -> Partial:
     """Particles with the weights of a set, annealed to a survival rate or, with None, as they are."""
     log_set = partial.scores[:, parts].sum(axis=1)
-    beta = 1.0 if survival is None else next_beta(log_set, survival)
+    beta = 1.0 if survival is None else next_beta(log_set, survival, beta_max=beta_max)
     weights, log_mean = normalise_log_weights(annealed(log_set, beta))
     tally.is_degenerate |= not np.isfinite(log_mean)
     tally.layer(beta, weights)

@@ -42,7 +42,10 @@ def owners(layout: StateLayout, parts: list[int]) -> Indices:
 
 def columns_in(layout: StateLayout, parts: list[int]) -> Mask:
     """Which columns belong to some parts, (D,)."""
-    return np.isin(layout.part_of_column, parts)
+    is_wanted = np.zeros(layout.n_parts, dtype=np.bool_)
+    is_wanted[parts] = True
+    wanted: Mask = is_wanted[layout.part_of_column]
+    return wanted
 
 
 def require_parts(problem: ArticulatedProblem, particles: Array) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap.data.problem import ArticulatedProblem
+from mocap.filters.annealing import BETA_MAX
 from mocap.filters.apf import FilterInfo, ParticleState
 from mocap.filters.partitioned import PartitionedSettings, partitioned_step
 from mocap.filters.parts import part_sets
@@ -24,6 +25,10 @@ class PsapfSettings(PartitionedSettings):
     n_layers: int = 2
     alpha: float = 0.5
     """Survival rate of every annealed layer, and the factor on the noise covariance from layer to layer."""
+    beta_max: float = BETA_MAX
+    """Largest exponent of an annealed layer. Where a part's likelihood is flat the survival rate asks for more than 1:
+    the layer then sharpens what XN 3.2.1 has it smooth (beta_0 > beta_1 > ...; the last layer's is 1). Both cannot be
+    had; decision 18."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -31,6 +36,8 @@ class PsapfSettings(PartitionedSettings):
             raise ValueError(f"n_layers must be at least 1, got {self.n_layers}")
         if not 0 < self.alpha < 1:
             raise ValueError(f"alpha must lie in (0, 1), got {self.alpha}")
+        if not self.beta_max > 0:
+            raise ValueError(f"beta_max must be positive, got {self.beta_max}")
 
 
 def psapf_step(
@@ -52,6 +59,7 @@ def psapf_step(
         rng=rng,
         n_layers=settings.n_layers,
         alpha=settings.alpha,
+        beta_max=settings.beta_max,
     )
 
 
@@ -75,4 +83,5 @@ def sbapf_step(
         recombination=swap_parts,
         n_layers=settings.n_layers,
         alpha=settings.alpha,
+        beta_max=settings.beta_max,
     )

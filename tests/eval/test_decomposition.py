@@ -269,3 +269,24 @@ def test_the_page_is_written_from_the_tables(tmp_path: Path, monkeypatch: pytest
     assert "*(150 ± 10)*" in text
     assert "| SBPS < PS | 1 |" in text
     assert f"{claims[0].ours.ratio:.2f} to {claims[0].ours.ratio:.2f} | 0.74 to 0.74" in text
+
+
+def test_kept_cells_are_compared_with_today_s_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from eval.decomposition_check import cell_of, main
+
+    path = tmp_path / "cells.csv"
+    cells = [
+        Cell(SceneKey("sw", 2, 2, n_clutter=3, seed=4, n_frames=3), RunKey("sir", 10, resampling="residual")),
+        Cell(SceneKey("xn6", 2, 3, n_objects=2, n_frames=3), RunKey("ps", 10, 2, is_split=True, seed=5)),
+    ]
+    rows = run_cells(cells, n_workers=1, path=path)
+    assert [cell_of(row) for row in rows] == cells
+    assert main(["--store", str(path)]) == 0
+    append_rows([rows[1] | {"error_px": "0.001"}], path)
+    assert main(["--store", str(path)]) == 1
+    out = capsys.readouterr().out
+    assert "2 of 2 worlds" in out
+    assert f"xn6, ps: 0.001 px kept, {rows[1]['error_px']} px today" in out
+    assert "1 of 2 worlds" in out

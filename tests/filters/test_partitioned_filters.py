@@ -193,6 +193,21 @@ def test_annealed_layers_keep_their_survival_rate_and_the_last_is_the_likelihood
     np.testing.assert_allclose(ess[:, :2] / 200, 0.4, rtol=1e-3)
 
 
+@pytest.mark.parametrize("name", ["psapf", "sbapf"])
+def test_a_largest_exponent_holds_where_the_survival_rate_asks_for_more(name: str) -> None:
+    """A likelihood a hundred times as wide is flat: without the cap every layer sharpens."""
+    problem = LinearGaussianTree(TREE, MEASUREMENTS[0], 100 * NOISE)
+    settings = settings_for(name, layout=TREE, std=STD, n_particles=200, n_layers=3)
+    start = initial_particles(problem, np.zeros(TREE.n_columns), 5)
+    free, capped = (
+        FILTERS[name](problem, start, own, rng=np.random.default_rng(0))[1]
+        for own in (settings, replace(settings, beta_max=1.0))  # type: ignore[type-var, call-arg]
+    )
+    assert free.beta.reshape(-1, 3)[:, :2].min() > 1
+    np.testing.assert_array_equal(capped.beta, 1.0)
+    assert capped.ess.min() > free.ess.min()
+
+
 @pytest.mark.parametrize("name", PARTITIONED)
 def test_the_same_seed_gives_the_same_bytes(name: str) -> None:
     problem = LinearGaussianTree(TREE, MEASUREMENTS[0], NOISE)
@@ -290,6 +305,7 @@ def test_bad_settings_are_refused() -> None:
         ({"n_particles": 1}, "n_particles"),
         ({"n_layers": 0}, "n_layers"),
         ({"alpha": 1.0}, "alpha"),
+        ({"beta_max": 0.0}, "beta_max"),
         ({"resampling": "lottery"}, "lottery"),
     )
     for change, message in bad:
