@@ -139,6 +139,9 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
     for c in range(n_cameras):
         for stretch in _odd_stretches(unexplained[:, c], usual):
             fault = _diagnose(evidence, unexplained[:, c], c, *stretch, usual)
+            if fault.kind == "moved" and _background_stands(evidence, c, *stretch[:2]):
+                # Its mask holds what the hull of the others lacks: somebody whom too few of them see.
+                continue
             # Somebody who comes in is seen by one camera first, and by the hull a few frames later: no lag.
             lasts = stretch[1] - stretch[0] >= min(_LASTING_FRAMES, n_frames // 2)
             if lasts or fault.kind not in ("lag", "misfit"):
@@ -371,6 +374,16 @@ def _background_moves(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, i
         end = len(evidence.frames) if stop == len(shots) else _row_of(evidence, shots[stop].frame)
         stretches.append((start, end, (float(shift[0]), float(shift[1]))))
     return stretches
+
+
+def _background_stands(evidence: SilhouetteEvidence, c: int, first: int, stop: int) -> bool:
+    """Whether the pictures of the rows first .. stop say that a camera has not moved: its background stays."""
+    shots = [s for s in evidence.snapshots if s.pictures is not None]
+    begin, end = int(evidence.frames[first]), int(evidence.frames[stop - 1])
+    inside = [s for s in shots[1:] if begin <= s.frame <= end]
+    shifts = [background_shift(shots[0], s, c) for s in inside[:: max(1, len(inside) // _N_LOOKS)]]
+    told = [float(np.hypot(*shift)) <= _MOVED_CELLS for shift in shifts if shift is not None]
+    return len(told) >= 2 and all(told)
 
 
 def _first_jump(evidence: SilhouetteEvidence, c: int, first: int, last: int) -> int:

@@ -96,6 +96,25 @@ def test_a_moved_camera_is_named_with_its_frame_and_shift() -> None:
     assert fault.message.startswith(f"camera cam_3 moved at frame {fault.first_frame}")
 
 
+def test_a_background_that_stays_where_it_was_clears_a_camera() -> None:
+    """Its silhouettes fit as badly as those of a moved camera, but its pictures show that it stands."""
+    masks = clean()
+    masks[3] = [rotated(m, 3, (0.0, 4.0, 0.0)) if f >= START else m for f, m in enumerate(masks[3])]
+    rng = np.random.default_rng(8)
+    rooms = [
+        cv2.GaussianBlur(rng.integers(0, 256, (240, 320, 3), dtype=np.uint8), (0, 0), 4.0) for _ in range(C)
+    ]
+    rooms = [np.clip((r.astype(np.float32) - 128) * 8 + 128, 0, 255) for r in rooms]
+    images = [
+        [np.clip(room + rng.normal(0, 2, room.shape), 0, 255).astype(np.uint8) for _ in range(T)]
+        for room in rooms
+    ]
+    assert find(masks, images) == ()
+    images[3] = [np.roll(i, 21, axis=1) if f >= START else i for f, i in enumerate(images[3])]
+    (fault,) = find(masks, images)
+    assert (fault.camera, fault.kind) == ("cam_3", "moved")
+
+
 @pytest.mark.parametrize("lag", [2, 3, 5, -3])
 def test_a_lag_is_counted_from_its_frame_on(lag: int) -> None:
     masks = clean()
