@@ -64,9 +64,9 @@ class BodyFit:
         def job(rows: slice) -> None:
             descend(moved[rows], *self._arguments(), *bounds, prior, n_iterations, tolerance)
 
-        in_parallel(
-            job, [slice(k, len(moved), n_threads) for k in range(min(n_threads, len(moved)))], n_threads
-        )
+        # Whole blocks: rows with gaps between them would be compiled for apart.
+        edges = np.linspace(0, len(moved), min(n_threads, len(moved)) + 1).astype(int)
+        in_parallel(job, [slice(a, b) for a, b in itertools.pairwise(edges)], n_threads)
         return moved
 
     def _arguments(self) -> tuple[object, ...]:
