@@ -60,7 +60,7 @@ format: $(STAMP)
 	@$(BIN)/ruff format .
 
 bench: $(STAMP)
-	@$(BIN)/python -m eval.bench $(ARGS)
+	@$(BIN)/python -m eval.bench --gate $(ARGS)
 
 clean:
 	@rm -rf out .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -102,7 +102,8 @@ def carve_over_bruteforce() -> float:
     return theirs / ours
 
 
-@measure("carve_over_open3d", unit="x", better="higher")
+# Open3D empties the caches between the two: four runs of one state gave 231 to 642.
+@measure("carve_over_open3d", unit="x", better="higher", tolerance=1.5)
 def carve_over_open3d() -> float | Skip:
     """How many times faster than Open3D's VoxelGrid.carve_silhouette."""
     try:

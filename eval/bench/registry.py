@@ -26,28 +26,51 @@ class Skip:
 
 @dataclass(frozen=True)
 class Measure:
-    """name, unit, better ('higher' or 'lower') and the function that takes the measurement."""
+    """name, unit, better ('higher' or 'lower'), the function that takes the measurement, and how much it may worsen.
+
+    tolerance : a value that is worse than the baseline's by more than this share fails the gate.
+    """
 
     name: str
     unit: str
     better: str
     run: Callable[[], float | Skip]
+    tolerance: float
+
+    def worsening(self, value: float, baseline: float) -> float:
+        """By what factor a value is worse than the baseline's; below 1 it is better."""
+        if value <= 0 or baseline <= 0:
+            return float("inf")
+        return baseline / value if self.better == "higher" else value / baseline
+
+    def passes(self, value: float, baseline: float) -> bool:
+        """Whether a value is within the tolerance of the baseline's."""
+        return self.worsening(value, baseline) <= 1.0 + self.tolerance
+
+
+# Ratios to a competitor in the same run, shares and memory hardly depend on the machine; times and rates do.
+_STEADY_UNITS = ("x", "share", "MB")
+_STEADY_TOLERANCE, _TIME_TOLERANCE = 0.4, 1.0
 
 
 _MEASURES: dict[str, Measure] = {}
 
 
 def measure(
-    name: str, *, unit: str, better: str
+    name: str, *, unit: str, better: str, tolerance: float | None = None
 ) -> Callable[[Callable[[], float | Skip]], Callable[[], float | Skip]]:
-    """Register the decorated function; ValueError for a doubled name or an unknown direction."""
+    """Register the decorated function; ValueError for a doubled name or an unknown direction.
+
+    tolerance : None = 0.4 for ratios, shares and memory, 1 for times and rates, which depend on the machine.
+    """
     if better not in ("higher", "lower"):
         raise ValueError(f"better: expected 'higher' or 'lower', got {better!r}")
 
     def register(function: Callable[[], float | Skip]) -> Callable[[], float | Skip]:
         if name in _MEASURES:
             raise ValueError(f"measure {name!r} is registered twice")
-        _MEASURES[name] = Measure(name, unit, better, function)
+        usual = _STEADY_TOLERANCE if unit in _STEADY_UNITS else _TIME_TOLERANCE
+        _MEASURES[name] = Measure(name, unit, better, function, usual if tolerance is None else tolerance)
         return function
 
     return register

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eval.bench.__main__ import BASELINE, main
-from eval.bench.registry import interleaved_medians, load_measures, measure, select
+from eval.bench.registry import Measure, interleaved_medians, load_measures, measure, select
 from eval.bench.scene import make_scene
 
 
@@ -28,7 +28,8 @@ def test_baseline_agrees_with_the_registry():
     baseline = json.loads(BASELINE.read_text())
     assert set(baseline) <= set(measures)
     for name, entry in baseline.items():
-        assert (entry["unit"], entry["better"]) == (measures[name].unit, measures[name].better)
+        m = measures[name]
+        assert (entry["unit"], entry["better"], entry["tolerance"]) == (m.unit, m.better, m.tolerance)
         assert entry["value"] > 0
 
 
@@ -39,6 +40,35 @@ def test_one_measure_prints_one_json_object(capsys):
     assert result["components_ms"]["unit"] == "ms"
     assert 0 < result["components_ms"]["value"] < 1000
     assert result["components_ms"]["of_baseline"] > 0
+
+
+def test_worse_than_the_tolerance_fails_whatever_the_direction():
+    time = Measure("t", "ms", "lower", lambda: 1.0, 0.5)
+    ratio = Measure("r", "x", "higher", lambda: 1.0, 0.25)
+    assert time.worsening(3.0, 2.0) == pytest.approx(1.5)
+    assert ratio.worsening(8.0, 10.0) == pytest.approx(1.25)
+    assert [time.passes(v, 2.0) for v in (0.1, 2.9, 3.1)] == [True, True, False]
+    assert [ratio.passes(v, 10.0) for v in (99.0, 8.1, 7.9, 0.0)] == [True, True, False, False]
+
+
+def test_the_gate_names_what_is_worse_and_ends_with_1(monkeypatch, tmp_path, capsys):
+    measures = (
+        Measure("a_ms", "ms", "lower", lambda: 5.0, 1.0),
+        Measure("b", "x", "higher", lambda: 6.0, 0.4),
+    )
+    monkeypatch.setattr("eval.bench.__main__.load_measures", lambda: measures)
+    file = tmp_path / "baseline.json"
+    monkeypatch.setattr("eval.bench.__main__.BASELINE", file)
+    assert main(["--write-baseline"]) == 0
+    assert json.loads(file.read_text())["b"] == {
+        "value": 6.0, "unit": "x", "better": "higher", "tolerance": 0.4,
+    }  # fmt: skip
+    assert main(["--gate"]) == 0
+    file.write_text(json.dumps({"a_ms": {"value": 2.0}, "b": {"value": 7.0}}))
+    assert main(["--compare"]) == 0
+    capsys.readouterr()
+    assert main(["--gate"]) == 1
+    assert capsys.readouterr().err == "a_ms: 2.5 times worse than the baseline\n"
 
 
 def test_unknown_names_are_an_error_and_patterns_select(capsys):
