@@ -7,17 +7,15 @@ import math
 import numpy as np
 from numba import njit
 
-from mocap.likelihood._pull_kernels import add_pull, chain_axes, place_points, robust_loss, spread_pulls
+from mocap.likelihood._pull_kernels import add_pull, posed, robust_loss, spread_pulls
 
 
 @njit(cache=True, nogil=True)
-def outline_to_body(
-    origins, directions, normals, start, end, radii, cone_joint, scale, normal_cost, pulls, residuals
-):
+def outline_to_body(origins, directions, normals, start, end, radii, cone_joint, scale, normal_cost, pulls):
     """Pull the flesh until the rays through the outlines touch it; returns the robust cost.
 
     For every ray the cone is chosen that it touches best, by distance and by the angle between the outline's normal and
-    the direction from the cone's axis to the ray.  residuals : (M,) filled with the signed distances, m.
+    the direction from the cone's axis to the ray.
     """
     n_cones = start.shape[0]
     cost = 0.0
@@ -99,7 +97,6 @@ def outline_to_body(
                 ny = dy * inv
                 nz = dz * inv
                 taper = (radii[k, 1] - radii[k, 0]) / aa if s == along else 0.0
-        residuals[i] = best_r
         if best_k < 0:
             cost += 0.5 * scale * scale
             continue
@@ -137,7 +134,6 @@ def body_to_silhouettes(
     scale,
     gain,
     pulls,
-    cost_of_camera,
 ):
     """Pull flesh points that project outside a silhouette back to its nearest pixel; returns the robust cost.
 
@@ -203,7 +199,6 @@ def body_to_silhouettes(
                     point_joint[i],
                     pulls,
                 )
-        cost_of_camera[v] = own
         cost += own
     return cost
 
@@ -218,29 +213,17 @@ def outline_equations(
     cameras : (R, t, intrinsics).  crops : (corner, nearest, first, shape).  settings : (scale, normal_cost,
     flesh_scale, flesh_gain).
     """
-    parent, offset, dof_joint, dof_axis, dof_column = chain
-    cone_start, cone_end, radii, cone_joint, _ = cones
+    parent, _, dof_joint, _, dof_column = chain
+    _, _, radii, cone_joint, _ = cones
     origins, directions, normals = rays
     R_cam, t_cam, intrinsics = cameras
     corner, nearest, first, shape = crops
     scale, normal_cost, flesh_scale, flesh_gain = settings
-    n_joints = parent.shape[0]
-    R = np.empty((n_joints, 3, 3))
-    t = np.empty((n_joints, 3))
-    axes = np.empty((dof_joint.shape[0], 3))
-    chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes)
-    start = np.empty_like(cone_start)
-    end = np.empty_like(cone_end)
-    place_points(cone_start, cone_joint, R, t, start)
-    place_points(cone_end, cone_joint, R, t, end)
-    flesh = np.empty_like(flesh_points)
-    place_points(flesh_points, flesh_joint, R, t, flesh)
-    pulls = np.zeros((n_joints, 7, 6))
-    residuals = np.empty(origins.shape[0])
+    t, axes, start, end, flesh = posed(state, chain, cones, flesh_points, flesh_joint)
+    pulls = np.zeros((t.shape[0], 7, 6))
     cost = outline_to_body(
-        origins, directions, normals, start, end, radii, cone_joint, scale, normal_cost, pulls, residuals
+        origins, directions, normals, start, end, radii, cone_joint, scale, normal_cost, pulls
     )
-    cost_of_camera = np.zeros(R_cam.shape[0])
     cost += body_to_silhouettes(
         flesh,
         flesh_joint,
@@ -254,7 +237,6 @@ def outline_equations(
         flesh_scale,
         flesh_gain,
         pulls,
-        cost_of_camera,
     )
     spread_pulls(pulls, parent, t, axes, dof_joint, dof_column, moves, H, g)
     return cost

@@ -56,6 +56,26 @@ def place_points(points, joint, R, t, placed):
 
 
 @njit(cache=True, nogil=True)
+def posed(state, chain, cones, flesh_points, flesh_joint):
+    """What a state (D,) does to a body: places of the joints (J, 3), axes of the rotations (n_dofs, 3), ends of the
+    cones (K, 3) twice, and the flesh points (M, 3), all in the world.  chain, cones : as kernels take the body.
+    """
+    parent, offset, dof_joint, dof_axis, dof_column = chain
+    cone_start, cone_end, _, cone_joint, _ = cones
+    R = np.empty((parent.shape[0], 3, 3))
+    t = np.empty((parent.shape[0], 3))
+    axes = np.empty((dof_joint.shape[0], 3))
+    chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes)
+    start = np.empty_like(cone_start)
+    end = np.empty_like(cone_end)
+    place_points(cone_start, cone_joint, R, t, start)
+    place_points(cone_end, cone_joint, R, t, end)
+    flesh = np.empty_like(flesh_points)
+    place_points(flesh_points, flesh_joint, R, t, flesh)
+    return t, axes, start, end, flesh
+
+
+@njit(cache=True, nogil=True)
 def robust_loss(residual, scale, gain):
     """Geman-McClure cost of a residual, and its weight in the normal equations."""
     q = residual / scale

@@ -7,9 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from mocap.likelihood._pull_kernels import add_pull, chain_axes, place_points, robust_loss, spread_pulls
-
-OCCUPIED_BIT = 128  # of the packed crop
+from mocap.likelihood._pull_kernels import add_pull, posed, robust_loss, spread_pulls
+from mocap.likelihood.voxels import OCCUPIED_BIT
 
 
 @njit(cache=True, nogil=True)
@@ -214,23 +213,13 @@ def surface_equations(
     volume : (crop, lower_m, voxel).  settings : (excess, scale, normal_cost, flesh_scale, flesh_gain,
     penetration_gain).
     """
-    parent, offset, dof_joint, dof_axis, dof_column = chain
-    cone_start, cone_end, radii, cone_joint, cone_part = cones
+    parent, _, dof_joint, _, dof_column = chain
+    _, _, radii, cone_joint, cone_part = cones
     points, normals, all_points, blocks = hull
     crop, lower_m, voxel = volume
     excess, scale, normal_cost, flesh_scale, flesh_gain, penetration_gain = settings
-    n_joints = parent.shape[0]
-    R = np.empty((n_joints, 3, 3))
-    t = np.empty((n_joints, 3))
-    axes = np.empty((dof_joint.shape[0], 3))
-    chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes)
-    start = np.empty_like(cone_start)
-    end = np.empty_like(cone_end)
-    place_points(cone_start, cone_joint, R, t, start)
-    place_points(cone_end, cone_joint, R, t, end)
-    flesh = np.empty_like(flesh_points)
-    place_points(flesh_points, flesh_joint, R, t, flesh)
-    pulls = np.zeros((n_joints, 7, 6))
+    t, axes, start, end, flesh = posed(state, chain, cones, flesh_points, flesh_joint)
+    pulls = np.zeros((t.shape[0], 7, 6))
     cost = hull_to_body(points, normals, start, end, radii, cone_joint, excess, scale, normal_cost, pulls)
     cost += body_to_hull(
         flesh, flesh_joint, crop, lower_m, voxel, all_points, blocks, flesh_scale, flesh_gain, pulls

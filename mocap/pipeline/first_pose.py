@@ -13,7 +13,7 @@ from mocap.body import Body, candidate_states
 from mocap.filters import ApfSettings, ParticleState, apf_step, initial_particles
 from mocap.likelihood import Appearance
 from mocap.pipeline.limbs import recover_limbs
-from mocap.pipeline.pose_problem import FrameProblem, PersonHull, PoseTools, PreparedHull
+from mocap.pipeline.pose_problem import FrameProblem, PoseTools, PreparedHull
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class PoseSearch:
     """
 
     tools: PoseTools
-    hull: PersonHull | PreparedHull
+    hull: PreparedHull
     frame: int
     walking_xy: Array | None
     appearance: Appearance | None = None
@@ -51,12 +51,6 @@ class PoseSearch:
     @cached_property
     def problem(self) -> FrameProblem:
         return self.tools.frame(self.hull, self.appearance)
-
-    @property
-    def voxels(self) -> NDArray[np.int32]:
-        """The person's voxels."""
-        hull = self.hull.hull if isinstance(self.hull, PreparedHull) else self.hull
-        return hull.voxels
 
     @property
     def heading(self) -> float | None:
@@ -113,7 +107,7 @@ def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[Fir
     """
     body = search.tools.body
     yaws: Array = np.arange(16, dtype=np.float64) * (2 * np.pi / 16) + (search.heading or 0.0)
-    centers = search.tools.grid.centers(search.voxels)
+    centers = search.tools.grid.centers(search.hull.hull.voxels)
     candidates, labels = candidate_states(body, centers, yaws)
     copies = np.repeat(candidates, _SEARCH_COPIES, axis=0)
     copies = search.problem.search.propagate(copies, search.std, rng=rng)

@@ -98,7 +98,7 @@ def estimate_height(grid: VoxelGrid, hull_of: HullOf, frames: Sequence[int]) -> 
         if hull is not None and len(hull.voxels) >= MIN_VOXELS:
             centers = grid.centers(hull.voxels)
             tops.append(head_top(centers, grid.voxel_size_m))
-            upright.append(is_upright(centers, grid.voxel_size_m))
+            upright.append(is_upright(centers, grid.voxel_size_m, tops[-1]))
     return height_from_tops(np.array(tops), grid.voxel_size_m, np.array(upright, dtype=np.bool_))
 
 
@@ -388,7 +388,8 @@ def start_person(
         frame = int(frames[i])
         hull = hull_of(frame)
         if hull is not None:
-            search = PoseSearch(searching, hull, frame, walking_velocity(frames, xyz, i, tools.fps))
+            velocity = walking_velocity(frames, xyz, i, tools.fps)
+            search = PoseSearch(searching, searching.prepared(hull), frame, velocity)
             tried = try_first_poses(search, rng=rng_for(seed, "first-pose", person, frame))
             searches.append((search, tried))
     search, tried = max(searches, key=lambda entry: entry[1][0].log_likelihood)

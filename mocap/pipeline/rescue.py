@@ -65,7 +65,7 @@ def rescue_pose(search: PoseSearch, state: Array, good: Array | None, *, rng: np
     facing = 0.0 if yaw is None else float(state[yaw])
     if search.heading is not None and np.cos(facing - search.heading) < 0.5:
         facing = search.heading
-    starts, _ = candidate_states(body, search.tools.grid.centers(search.voxels), np.array([facing]))
+    starts, _ = candidate_states(body, search.tools.grid.centers(search.hull.hull.voxels), np.array([facing]))
     states = [*starts, state]
     if good is not None:
         moved = good.copy()
