@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 
@@ -52,3 +53,54 @@ def transforms_kernel(states, parent, offset, dof_joint, dof_axis, dof_column, R
     """Joint transforms of many states (N, D) into R (N, J, 3, 3), t (N, J, 3)."""
     for n in range(states.shape[0]):
         forward_kinematics(states[n], parent, offset, dof_joint, dof_axis, dof_column, R[n], t[n])
+
+
+@njit(cache=True, nogil=True)
+def cones_on_lattice(origin, spacing, start, end, radii, round_ends, inside, deepest):
+    """Which points of a lattice lie in each truncated cone.
+
+    inside : (K, nx, ny, nz) bool, False before.  deepest : (nx, ny, nz), -1 before; the cone in which a point lies
+    deepest, relative to the cone's larger radius, so that thick parts do not swallow thin ones. Distances are those of
+    `flesh.cone_distances`.
+    """
+    _, nx, ny, nz = inside.shape
+    best = np.full((nx, ny, nz), np.inf)
+    for k in range(start.shape[0]):
+        reach = max(radii[k, 0], radii[k, 1])
+        low = np.empty(3, dtype=np.int64)
+        high = np.empty(3, dtype=np.int64)
+        length = 0.0
+        for c in range(3):
+            lower = min(start[k, c], end[k, c]) - reach - 1e-9 - origin[c]
+            upper = max(start[k, c], end[k, c]) + reach + 1e-9 - origin[c]
+            low[c] = max(0, math.ceil(lower / spacing))
+            high[c] = min(inside.shape[c + 1] - 1, math.floor(upper / spacing))
+            length += (end[k, c] - start[k, c]) ** 2
+        length = math.sqrt(length)
+        safe = max(length, 1e-12)
+        u0 = (end[k, 0] - start[k, 0]) / safe
+        u1 = (end[k, 1] - start[k, 1]) / safe
+        u2 = (end[k, 2] - start[k, 2]) / safe
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                for m in range(low[2], high[2] + 1):
+                    x = origin[0] + i * spacing - start[k, 0]
+                    y = origin[1] + j * spacing - start[k, 1]
+                    z = origin[2] + m * spacing - start[k, 2]
+                    along = (x * u0 + y * u1 + z * u2) / safe
+                    clamped = min(max(along, 0.0), 1.0)
+                    radius = radii[k, 0] + clamped * (radii[k, 1] - radii[k, 0])
+                    foot = (clamped if round_ends else along) * length
+                    d0 = x - foot * u0
+                    d1 = y - foot * u1
+                    d2 = z - foot * u2
+                    distance = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2) - radius
+                    if not round_ends:
+                        beyond = max(-along, along - 1.0) * length
+                        if beyond > 0.0:
+                            distance = max(distance, beyond)
+                    if distance <= 0.0:
+                        inside[k, i, j, m] = True
+                        if distance / reach < best[i, j, m]:
+                            best[i, j, m] = distance / reach
+                            deepest[i, j, m] = k

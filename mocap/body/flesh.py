@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.body._kernels import cones_on_lattice
 from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
 
@@ -84,30 +85,26 @@ def build_look_up_table(body: Body, spacing_m: float) -> LookUpTable:
     upper = np.maximum(start, end) + reach
     n = np.ceil((upper.max(axis=0) - lower.min(axis=0)) / spacing_m).astype(int) + 4
     origin = lower.min(axis=0) - 1.5 * spacing_m
-    index = np.indices(tuple(n)).reshape(3, -1).T
-    points = origin + index * spacing_m
-    distance = np.full((len(points), len(cones.joint)), np.inf)
-    for k in range(len(cones.joint)):
-        near = np.all((points >= lower[k] - 1e-9) & (points <= upper[k] + 1e-9), axis=1)
-        distance[near, k] = cone_distances(
-            points[near], start[k : k + 1], end[k : k + 1], cones.radii[k : k + 1], body.round_ends
-        )[:, 0]
-    inside = distance <= 0
-    solid = inside.any(axis=1).reshape(tuple(n))
+    inside = np.zeros((len(cones.joint), *n), dtype=np.bool_)
+    deepest = np.full(tuple(n), -1, dtype=np.int64)
+    cones_on_lattice(origin, spacing_m, start, end, cones.radii, body.round_ends, inside, deepest)
+    solid = deepest >= 0
     core = solid.copy()
     for axis in range(3):
         core &= np.roll(solid, 1, axis) & np.roll(solid, -1, axis)
-    surface = (solid & ~core).ravel()
-    if body.exclusive:
-        # Depth relative to the cone's radius decides, so that thick parts do not swallow thin ones.
-        relative = np.where(inside, distance / cones.radii.max(axis=1), np.inf)
-        owner = relative.argmin(axis=1)
-        inside &= np.arange(len(cones.joint)) == owner[:, None]
+    is_flesh = np.flatnonzero(solid)
+    points = origin + np.stack(np.unravel_index(is_flesh, solid.shape), axis=1) * spacing_m
+    surface = ~core.ravel()[is_flesh]
+    member_of = (
+        np.arange(len(cones.joint))[:, None] == deepest.ravel()[is_flesh]
+        if body.exclusive
+        else inside.reshape(len(cones.joint), -1)[:, is_flesh]
+    )
 
     tables, starts, n_surface, joints, parts, centers, radii = [], [0], [], [], [], [], []
     pairs = list(dict.fromkeys(zip(cones.part.tolist(), cones.joint.tolist(), strict=True)))
     for part, joint in sorted(pairs, key=lambda pair: pair[0]):
-        member = inside[:, (cones.part == part) & (cones.joint == joint)].any(axis=1)
+        member = member_of[(cones.part == part) & (cones.joint == joint)].any(axis=0)
         if not member.any():
             raise ValueError(f"part {body.layout.parts[part]} is too thin for a spacing of {spacing_m} m")
         rows = np.flatnonzero(member)

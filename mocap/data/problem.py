@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -92,6 +92,16 @@ class OccupancyProblem(Protocol):
 
         parts : all parts that are placed; None = all.  own : only what no other placed part holds too.
         """
+        ...
+
+
+@runtime_checkable
+class HeldBodyProblem(Protocol):
+    """A problem that can judge one limb at the limb's price while the rest of the body holds still."""
+
+    def limb_log_likelihood(self, held: Array, limb: Sequence[int]) -> Callable[[Array], Array]:
+        """A function of particles (N, D) that differ from the state held (D,) in a limb's columns only: (N,), the sum
+        of their `log_likelihood(particles, limb, given=all others)`."""
         ...
 
 

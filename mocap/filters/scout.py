@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data.problem import ArticulatedProblem, StateLayout
+from mocap.data.problem import ArticulatedProblem, HeldBodyProblem, StateLayout
 from mocap.filters.annealing import layer_scales, next_beta
 from mocap.filters.resampling import systematic
 from mocap.filters.weights import normalise_log_weights
@@ -24,7 +24,7 @@ class ScoutSettings:
     threshold: float = -7.0
     """A limb is searched for when one of its parts has a lower log-likelihood; good fits lie at -1 to -4."""
     margin: float = 2.0
-    """The body's log-likelihood must rise by this much, or the old pose stays."""
+    """The limb's log-likelihood must rise by this much, or the old pose stays."""
     n_samples: int = 300
     """Poses of the limb drawn over its whole range."""
     oversampling: int = 6
@@ -80,11 +80,10 @@ def scout_limbs(
     limbs = [limb for limb in limbs_of(layout) if len(_bounded_columns(layout, limb))]
     if bonus is None:
         limbs = [limb for limb in limbs if per_part[limb].min() < settings.threshold]
-    start_value = float(per_part.sum())
 
-    def value_of(particles: Array, limb: list[int]) -> Array:
-        value = problem.log_likelihood(particles).sum(axis=1)
-        return value if bonus is None else value + bonus(particles, limb)
+    def judge(held: Array, limb: list[int]) -> Callable[[Array], Array]:
+        likelihood = limb_log_likelihood(problem, held, limb)
+        return likelihood if bonus is None else lambda x: likelihood(x) + bonus(x, limb)
 
     screened = []
     for limb in limbs:
@@ -94,41 +93,52 @@ def scout_limbs(
         low, high = layout.lower[columns], layout.upper[columns]
         particles[:, columns] = low + rng.random((n_drawn, len(columns))) * (high - low)
         if bonus is not None:
-            # The bonus is far cheaper than the likelihood: it picks the draws that are worth one.
+            # A bonus is given to few draws at first sight: it picks those that are worth the likelihood.
             particles = particles[np.argsort(-bonus(particles, limb), kind="stable")[: settings.n_samples]]
-        value = value_of(particles, limb)
-        screened.append((float(value.max()), limb, particles, value))
+        value_of = judge(state, limb)
+        value = value_of(particles)
+        screened.append((float(value.max() - value_of(state[None])[0]), limb, particles))
     screened.sort(key=lambda entry: -entry[0])
 
     tried, accepted = [], []
     alternatives: list[Array] = []
-    best, best_value = state, start_value
-    for _, limb, particles, value in screened[: settings.max_limbs]:
+    best = state
+    for _, limb, particles in screened[: settings.max_limbs]:
         name = layout.parts[limb[0]]
         tried.append(name)
         columns = _bounded_columns(layout, limb)
         # What an earlier limb has found holds for this one too.
         particles = np.where(np.isin(np.arange(layout.n_columns), columns), particles, best)
-        seen, seen_value = [particles], [value if best is state else np.full(len(value), -np.inf)]
-        candidate, reached = particles[value.argmax()], float(value.max()) if best is state else -np.inf
+        value_of = judge(best, limb)
+        value = value_of(particles)
+        seen, seen_value = [particles], [value]
         std = np.zeros(layout.n_columns)
         for scale in layer_scales(settings.n_layers, 0.5):
             weights, _ = normalise_log_weights(next_beta(value, 0.3) * value)
             std[columns] = settings.std_rad * scale
             particles = particles[systematic(weights, settings.n_particles, rng=rng)]
             particles = problem.propagate(particles, std, rng=rng)
-            value = value_of(particles, limb)
+            value = value_of(particles)
             seen.append(particles)
             seen_value.append(value)
-            if value.max() > reached:
-                candidate, reached = particles[value.argmax()], float(value.max())
+        every, every_value = np.concatenate(seen), np.concatenate(seen_value)
         if settings.n_alternatives:
-            alternatives += _distinct(np.concatenate(seen), np.concatenate(seen_value), columns, settings)
-        if reached > best_value + settings.margin:
-            best, best_value = candidate.copy(), reached
+            alternatives += _distinct(every, every_value, columns, settings)
+        if every_value.max() > value_of(best[None])[0] + settings.margin:
+            best = every[every_value.argmax()].copy()
             accepted.append(name)
     others = np.stack(alternatives) if alternatives else state[None][:0]
     return best, ScoutInfo(tuple(tried), tuple(accepted), others)
+
+
+def limb_log_likelihood(
+    problem: ArticulatedProblem, held: Array, limb: list[int]
+) -> Callable[[Array], Array]:
+    """(N, D) particles that differ from a state (D,) in a limb's columns only -> (N,) log-likelihood of the limb."""
+    if isinstance(problem, HeldBodyProblem):
+        return problem.limb_log_likelihood(held, limb)
+    rest = [p for p in range(problem.layout.n_parts) if p not in limb]
+    return lambda particles: problem.log_likelihood(particles, limb, rest).sum(axis=1)
 
 
 def _distinct(

@@ -30,6 +30,8 @@ _PART_SHIFT = np.uint32(9)
 _PARTICLE_SHIFT = np.uint32(14)
 _N_TAGS = 2**18
 _SAME_PARTICLE = np.uint32((1 << 14) - (1 << 8))
+_TAKEN = np.uint8(1 << 7)
+MAX_LIMB_PARTS = 7
 
 
 class Segments(NamedTuple):
@@ -250,3 +252,104 @@ def part_scores_kernel(states, chain, segments, box, crop, cells, counts):
             more_occupied, more_double, _ = _gather(index[middle : start[s + 1]], cells)
             counts[n, part[s], 2] += occupied + more_occupied
             counts[n, part[s], 1] += double + more_double
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _placed_indices(R, t, segments, s, box, A, b, centers, index):
+    """Crop indices of a segment's points under joint transforms R, t; returns whether it touches the room's border."""
+    shape, lower, voxel_size = box.shape, box.lower, box.voxel_size
+    joint, center, radius = segments.joint, segments.center, segments.radius
+    is_inside, touches_border = place_segment(
+        R,
+        t,
+        joint[s],
+        s,
+        center,
+        radius,
+        shape,
+        lower,
+        voxel_size,
+        box.room_lower,
+        box.room_upper,
+        A,
+        b,
+        centers,
+    )
+    lo, hi = segments.start[s], segments.start[s + 1]
+    x, y, z = segments.x[lo:hi], segments.y[lo:hi], segments.z[lo:hi]
+    if is_inside:
+        _indices_inside(x, y, z, A, b, shape, index[: hi - lo])
+    else:
+        _voxel_indices(x, y, z, A, b, shape, index[: hi - lo])
+    return touches_border
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def take_voxels(state, chain, segments, box, taken):
+    """Mark the voxels that the segments of one state (D,) hold: taken (V,) uint8, bit 7."""
+    parent, offset, dof_joint, dof_axis, dof_column = chain
+    R = np.empty((parent.shape[0], 3, 3))
+    t = np.empty((parent.shape[0], 3))
+    A = np.empty((3, 3), np.float32)
+    b = np.empty(3, np.float32)
+    centers = np.empty((segments.part.shape[0], 3))
+    index = np.empty(segments.x.shape[0], np.uint32)
+    forward_kinematics(state, parent, offset, dof_joint, dof_axis, dof_column, R, t)
+    for s in range(segments.part.shape[0]):
+        _placed_indices(R, t, segments, s, box, A, b, centers, index)
+        for i in range(segments.start[s + 1] - segments.start[s]):
+            taken[index[i]] |= _TAKEN
+    taken[0] = 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def limb_scores_kernel(states, chain, segments, box, crop, taken, counts):
+    """`part_scores_kernel` for a few parts of states (N, D) while all others hold still.
+
+    segments : of at most seven parts, all scored.  taken : (V,) uint8, bit 7 where the others are (`take_voxels`); the
+    other bits are scratch, 0 before and after.
+    """
+    parent, offset, dof_joint, dof_axis, dof_column = chain
+    start, part, n_surface = segments.start, segments.part, segments.n_surface
+    n_segments = part.shape[0]
+    R = np.empty((parent.shape[0], 3, 3))
+    t = np.empty((parent.shape[0], 3))
+    A = np.empty((3, 3), np.float32)
+    b = np.empty(3, np.float32)
+    centers = np.empty((n_segments, 3))
+    index = np.empty(segments.x.shape[0], np.uint32)
+    box_lower = np.empty(3, np.float32)
+    box_upper = np.empty(3, np.float32)
+    for r in range(3):
+        box_lower[r] = (box.room_lower[r] - box.lower[r]) / box.voxel_size
+        box_upper[r] = (box.room_upper[r] - box.lower[r]) / box.voxel_size
+    for n in range(states.shape[0]):
+        forward_kinematics(states[n], parent, offset, dof_joint, dof_axis, dof_column, R, t)
+        for s in range(n_segments):
+            lo, hi = start[s], start[s + 1]
+            if _placed_indices(R, t, segments, s, box, A, b, centers, index[lo:hi]):
+                counts[n, part[s], 0] += _count_outside(
+                    segments.x[lo:hi], segments.y[lo:hi], segments.z[lo:hi], A, b, box_lower, box_upper
+                )
+            own = np.uint8(1 << part[s])
+            for i in range(lo, hi):
+                taken[index[i]] |= own
+        taken[0] = 0
+        for s in range(n_segments):
+            own = np.uint8(1 << part[s])
+            lo, hi = start[s], start[s + 1]
+            occupied = _ZERO
+            double = _ZERO
+            surface = _ZERO
+            for i in range(lo, hi):
+                k = index[i]
+                v = np.uint32(crop[k])
+                occupied += v >> _OCCUPIED_SHIFT
+                double += _ONE if (taken[k] & ~own) != 0 else _ZERO
+                if i < lo + n_surface[s]:
+                    surface += v & _SURFACE
+            counts[n, part[s], 1] += double
+            counts[n, part[s], 2] += occupied
+            counts[n, part[s], 3] += surface
+        for i in range(index.shape[0]):
+            taken[index[i]] &= _TAKEN

@@ -17,7 +17,12 @@ from mocap.body.flesh import LookUpTable
 from mocap.body.model import Body
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.problem import StateLayout
-from mocap.likelihood._outline_kernels import outline_equations
+from mocap.likelihood._outline_kernels import (
+    are_near,
+    nearest_of_labels,
+    outline_equations,
+    pixels_of_points,
+)
 from mocap.likelihood.surface import dof_moves_joint, flesh_sample
 
 Array = NDArray[np.float64]
@@ -170,19 +175,8 @@ def person_outlines(
 
 
 def _pinhole_pixels(camera: Camera, points: Array) -> NDArray[np.int64]:
-    """Pixels (N, 2) of world points in front of the camera, rounded."""
-    cam = points @ camera.R.T + camera.t
-    cam = cam[cam[:, 2] > 0.1]
-    uv = cam[:, :2] / cam[:, 2:]
-    return np.rint(uv * [camera.K[0, 0], camera.K[1, 1]] + [camera.K[0, 2], camera.K[1, 2]]).astype(np.int64)
-
-
-def _splat(pixels: NDArray[np.int64], low: NDArray[np.int64], height: int, width: int) -> NDArray[np.uint8]:
-    image = np.zeros((height, width), dtype=np.uint8)
-    at = pixels - low
-    ok = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
-    image[at[ok, 1], at[ok, 0]] = 1
-    return cv2.dilate(image, np.ones((2 * _NEAR_PX + 1, 2 * _NEAR_PX + 1), dtype=np.uint8))
+    """Pixels (M, 2) of those world points (N, 3) that are in front of the camera and in its picture."""
+    return pixels_of_points(points, camera.R, camera.t, camera.K, *camera.size)
 
 
 def _camera_outline(
@@ -191,7 +185,6 @@ def _camera_outline(
     """Outline points (M, 2) px, outward normals (M, 2), nearest silhouette pixels of the crop, its corner."""
     width, height = view.camera.size
     pixels = _pinhole_pixels(view.camera, hull_points)
-    pixels = pixels[(pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)]
     if len(pixels) < _MIN_OUTLINE_PX:
         return None
     low = np.maximum(pixels.min(axis=0) - _MARGIN_PX, 0)
@@ -202,10 +195,7 @@ def _camera_outline(
         return None
     h, w = crop.shape
     _, labels = cv2.distanceTransformWithLabels(1 - crop, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    pixel_of_label = np.zeros(int(labels.max()) + 1, dtype=np.int32)
-    inside = np.flatnonzero(crop)
-    pixel_of_label[labels.ravel()[inside]] = inside
-    near = pixel_of_label[labels]
+    near = nearest_of_labels(labels, crop)
 
     contours, _ = cv2.findContours(crop, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     points = [c[:, 0] for c in contours if len(c) >= _MIN_OUTLINE_PX]
@@ -215,11 +205,11 @@ def _camera_outline(
     u, v = at[:, 0] + low[0], at[:, 1] + low[1]
     good = (u >= _BORDER_PX) & (v >= _BORDER_PX) & (u < width - _BORDER_PX) & (v < height - _BORDER_PX)
     good &= (at > 0).all(axis=1) & (at[:, 0] < w - 1) & (at[:, 1] < h - 1)
-    good &= _splat(pixels, low, h, w)[at[:, 1], at[:, 0]] > 0
-    if other_points is not None and len(other_points):
-        others = _splat(_pinhole_pixels(view.camera, other_points), low, h, w)
-        good &= others[at[:, 1], at[:, 0]] == 0
     at = at[good]
+    at = at[are_near(at, pixels, low, crop.shape, _NEAR_PX)]
+    if other_points is not None and len(other_points):
+        others = _pinhole_pixels(view.camera, other_points)
+        at = at[~are_near(at, others, low, crop.shape, _NEAR_PX)]
     if len(at) == 0:
         return None
     at = at[np.unique(np.linspace(0, len(at) - 1, n_points).astype(int))]

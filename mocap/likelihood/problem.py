@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +12,14 @@ from mocap.body.flesh import LookUpTable
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.propagation import truncated_gaussian_step
+from mocap.likelihood._kernels import MAX_LIMB_PARTS
 from mocap.likelihood.fast import fast_part_scores
 from mocap.likelihood.voxels import (
     PackedVolume,
     VoxelLikelihoodSettings,
     factorised_log_likelihood,
     global_log_likelihood,
+    held_body,
     part_scores,
 )
 
@@ -56,6 +58,17 @@ class VoxelProblem:
         if self.settings.factorised:
             return factorised_log_likelihood(scores, self.body, self.settings, parts)
         return global_log_likelihood(scores, self.table, self.settings, parts)
+
+    def limb_log_likelihood(self, held: Array, limb: Sequence[int]) -> Callable[[Array], Array]:
+        """Log-likelihood (N,) of a limb's parts for particles (N, D) that differ in them from the state held (D,):
+        the sum of `log_likelihood` with the other parts given, at the limb's price."""
+        if self.settings.kind == "fast" or not self.settings.factorised or len(limb) > MAX_LIMB_PARTS:
+            rest = [p for p in range(self.layout.n_parts) if p not in limb]
+            return lambda particles: self.log_likelihood(particles, limb, rest).sum(axis=1)
+        fixed = held_body(self.body, self.table, self.volume, held, limb)
+        return lambda particles: factorised_log_likelihood(
+            fixed.scores(particles), self.body, self.settings, limb
+        ).sum(axis=1)
 
     def occupancy(self, particles: Array, parts: Sequence[int] | None = None, *, own: bool = False) -> Array:
         """Share of flesh in occupied voxels, of particles (N, D): (N, P'), one column per part asked for.

@@ -16,7 +16,14 @@ from mocap.body.flesh import LookUpTable
 from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
 from mocap.data.voxels import VoxelGrid
-from mocap.likelihood._kernels import Box, Segments, part_scores_kernel
+from mocap.likelihood._kernels import (
+    MAX_LIMB_PARTS,
+    Box,
+    Segments,
+    limb_scores_kernel,
+    part_scores_kernel,
+    take_voxels,
+)
 from mocap.threads import worker_threads
 
 Array = NDArray[np.float64]
@@ -222,6 +229,47 @@ def part_scores(
 
     run_chunks(score, len(s), n_threads)
     return _counts_to_scores(counts, size, size_surface)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldBody:
+    """One limb's scores while the rest of the body holds still: those of `part_scores` with the rest as `given`, at the
+    price of the limb alone.
+
+    limb : parts, in the order of the columns.
+    """
+
+    body: Body
+    table: LookUpTable
+    volume: PackedVolume
+    limb: tuple[int, ...]
+    _taken: NDArray[np.uint8]
+
+    def scores(self, states: Array) -> PartScores:
+        """Scores of states (N, D) that differ from the held one in the limb's columns only, (N, limb's parts) each."""
+        s = check_states(self.body, states)
+        segments, size, size_surface = _select(self.table, self.limb, ())
+        counts = np.zeros((len(s), len(self.limb), 4), dtype=np.int64)
+        crop = self.volume.crop.reshape(-1)
+        limb_scores_kernel(s, self.body.chain, segments, self.volume.box, crop, self._taken, counts)
+        return _counts_to_scores(counts, size, size_surface)
+
+
+def held_body(
+    body: Body, table: LookUpTable, volume: PackedVolume, state: Array, limb: Sequence[int]
+) -> HeldBody:
+    """The body of a state (D,), of which only a limb will move.
+
+    Raises ValueError for a limb of no or of more than MAX_LIMB_PARTS parts, and for parts that do not exist or come
+    twice.
+    """
+    parts, rest = chosen_parts(body, limb, range(body.layout.n_parts))
+    if not 0 < len(parts) <= MAX_LIMB_PARTS:
+        raise ValueError(f"a limb has 1 to {MAX_LIMB_PARTS} parts, got {len(parts)}")
+    taken = np.zeros(volume.crop.size, dtype=np.uint8)
+    segments, _, _ = _select(table, rest, ())
+    take_voxels(check_states(body, state[None])[0], body.chain, segments, volume.box, taken)
+    return HeldBody(body, table, volume, parts, taken)
 
 
 def part_scores_numpy(

@@ -23,7 +23,7 @@ _SCOUT_ZEAL = 4.0
 _N_LOST_POINTS = 24
 _EVERY_COLOUR = 2  # of the surface points with a colour, in the search
 _N_ALTERNATIVES = 4
-_SHORT_PAUSE, _LONG_PAUSE = 2, 4  # frames between searches
+_LONGEST_PAUSE = 8  # frames between searches that find nothing
 _FALLEN_NATS = 4.0
 _FIND_NATS = 1.0  # a smaller gain is no find
 _USUAL_RATE = 0.2
@@ -33,11 +33,11 @@ _JUMP_M = 0.25  # a jump by this much beyond the free speed costs all that a jum
 
 @dataclass
 class Lookout:
-    """When limbs are searched for though each of them fits: soon after a find or when the evidence falls, ever more
-    rarely while nothing is found.
+    """When limbs are searched for though each of them fits: where the evidence falls, but ever more rarely while nothing
+    is found.
     """
 
-    _pause: int = _SHORT_PAUSE
+    _pause: int = 1
     _wait: int = 0
     _usual: float = float("nan")
 
@@ -46,11 +46,13 @@ class Lookout:
         self._wait -= 1
         has_fallen = value < self._usual - _FALLEN_NATS
         self._usual = value if np.isnan(self._usual) else self._usual + _USUAL_RATE * (value - self._usual)
-        return self._wait <= 0 or has_fallen
+        if not has_fallen:
+            self._pause = 1
+        return has_fallen and self._wait <= 0
 
     def note(self, gain: float) -> None:
         """By how many nats a search has raised the evidence."""
-        self._pause = _SHORT_PAUSE if gain > _FIND_NATS else min(2 * self._pause, _LONG_PAUSE)
+        self._pause = 1 if gain > _FIND_NATS else min(2 * self._pause, _LONGEST_PAUSE)
         self._wait = self._pause
 
 
