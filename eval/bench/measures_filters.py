@@ -12,7 +12,7 @@ from mocap.likelihood import ColourProblem
 
 _SEED = 5
 _N_WEIGHTS = 600
-_N_POINTS = 600
+_N_RAYS = 1600
 
 
 @measure("resampling_over_filterpy", unit="x", better="higher")
@@ -32,23 +32,26 @@ def resampling_over_filterpy() -> float:
 
 @lru_cache(maxsize=1)
 def _colours() -> ColourProblem:
-    """Surface points of the scene's body in two colours, learnt once."""
-    from mocap.likelihood import colour_bins_of_voxels, new_appearance
+    """Rays from four cameras through the surface of the scene's body, in two colours, learnt once."""
+    from mocap.likelihood import PixelRays, colour_bins_of_pixels, new_appearance
 
     s = body_scene()
     points = s.surface.hull.points
-    points = points[:: max(1, len(points) // _N_POINTS)]
+    points = points[:: max(1, len(points) // _N_RAYS)]
     rgb = np.where(points[:, 2:] > 1.0, [160, 50, 40], [50, 60, 90]).astype(np.uint8)
     body = s.voxels.body
-    bins = colour_bins_of_voxels(rgb)
-    first = ColourProblem(body, points, bins, new_appearance(body))
-    return ColourProblem(
-        body, points, bins, first.learnt(s.truth, np.ones(body.layout.n_parts, dtype=np.bool_))
-    )
+    angle = np.arange(4) * np.pi / 2
+    origins = points.mean(axis=0) + 3.0 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(4)])
+    camera = np.arange(len(points)) % 4
+    directions = points - origins[camera]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    rays = PixelRays(origins, camera, directions, colour_bins_of_pixels(rgb))
+    first = ColourProblem(body, rays, new_appearance(body))
+    return ColourProblem(body, rays, first.learnt(s.truth, np.ones(body.layout.n_parts, dtype=np.bool_)))
 
 
 @measure("colour_evidence_ms", unit="ms", better="lower")
 def colour_evidence_ms() -> float:
-    """Log-ratio of the colours of 600 surface voxels under one pose."""
+    """Log-ratio of the colours of 1,600 pixels under one pose."""
     colours, state = _colours(), body_scene().truth[None]
     return interleaved_medians([lambda: colours.log_ratio(state)], 50)[0] * 1e3

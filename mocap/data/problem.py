@@ -104,6 +104,10 @@ class HeldBodyProblem(Protocol):
         of their `log_likelihood(particles, limb, given=all others)`."""
         ...
 
+    def limb_in_data(self, particles: Array, limb: Sequence[int]) -> Array:
+        """Which share of a limb's axis lies where there is data, of particles (N, D): (N,), cheap and coarse."""
+        ...
+
 
 class ResidualProblem(Protocol):
     """A problem that also offers second-order information to a refinement."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,10 +25,10 @@ class ScoutSettings:
     """A limb is searched for when one of its parts has a lower log-likelihood; good fits lie at -1 to -4."""
     margin: float = 2.0
     """The limb's log-likelihood must rise by this much, or the old pose stays."""
-    n_samples: int = 300
+    n_samples: int = 900
     """Poses of the limb drawn over its whole range."""
-    oversampling: int = 6
-    """Draws per sample when a bonus picks among them."""
+    oversampling: int = 2
+    """Draws per sample, where a limb's axis picks among them (`HeldBodyProblem.limb_in_data`)."""
     n_layers: int = 4
     n_particles: int = 100
     std_rad: float = 0.5
@@ -64,22 +64,26 @@ def scout_limbs(
     *,
     rng: np.random.Generator,
     bonus: Bonus | None = None,
+    look_at: Sequence[int] = (),
 ) -> tuple[Array, ScoutInfo]:
     """Search anew for the limbs of a state (D,) that fit badly; returns the state, improved or unchanged.
 
     bonus : (particles (N, D), parts of the limb) -> (N,) nats, evidence for a limb beyond the likelihood, such as
-    data that nothing explains yet; 0 for the given state. With a bonus every limb is looked at, and those that
-    gain most at first sight are followed. A global likelihood (one column) says nothing about limbs: the state
-    comes back unchanged.
+    data that nothing explains yet; 0 for the given state.  look_at : limbs, by their first part, that are looked at
+    though they fit. Of all limbs looked at, those that gain most at first sight are followed. A global likelihood (one
+    column) says nothing about limbs: the state comes back unchanged.
     Source: the scout filters of CF 7.4 (DDMA-PF), here as a means of recovery inside any filter.
     """
     layout = problem.layout
     per_part = problem.log_likelihood(state[None])[0]
     if per_part.shape[0] != layout.n_parts:
         return state, ScoutInfo((), (), state[None][:0])
-    limbs = [limb for limb in limbs_of(layout) if len(_bounded_columns(layout, limb))]
-    if bonus is None:
-        limbs = [limb for limb in limbs if per_part[limb].min() < settings.threshold]
+    limbs = [
+        limb
+        for limb in limbs_of(layout)
+        if (limb[0] in look_at or per_part[limb].min() < settings.threshold)
+        and len(_bounded_columns(layout, limb))
+    ]
 
     def judge(held: Array, limb: list[int]) -> Callable[[Array], Array]:
         likelihood = limb_log_likelihood(problem, held, limb)
@@ -88,13 +92,14 @@ def scout_limbs(
     screened = []
     for limb in limbs:
         columns = _bounded_columns(layout, limb)
-        n_drawn = settings.n_samples * (settings.oversampling if bonus is not None else 1)
+        coarse = problem if isinstance(problem, HeldBodyProblem) else None
+        n_drawn = settings.n_samples * (1 if coarse is None else settings.oversampling)
         particles = np.tile(state, (n_drawn, 1))
         low, high = layout.lower[columns], layout.upper[columns]
         particles[:, columns] = low + rng.random((n_drawn, len(columns))) * (high - low)
-        if bonus is not None:
-            # A bonus is given to few draws at first sight: it picks those that are worth the likelihood.
-            particles = particles[np.argsort(-bonus(particles, limb), kind="stable")[: settings.n_samples]]
+        if coarse is not None:
+            in_data = coarse.limb_in_data(particles, limb)
+            particles = particles[np.argsort(-in_data, kind="stable")[: settings.n_samples]]
         value_of = judge(state, limb)
         value = value_of(particles)
         screened.append((float(value.max() - value_of(state[None])[0]), limb, particles))

@@ -3,7 +3,8 @@
 from mocap.likelihood.appearance import (
     Appearance,
     ColourProblem,
-    colour_bins_of_voxels,
+    PixelRays,
+    colour_bins_of_pixels,
     new_appearance,
 )
 from mocap.likelihood.body_fit import BodyFit
@@ -31,6 +32,7 @@ from mocap.likelihood.outlines import (
     person_outlines,
     pinhole_view,
 )
+from mocap.likelihood.pixels import SilhouettePixels, person_rays, sample_silhouettes
 from mocap.likelihood.polygons import (
     PolygonLikelihoodSettings,
     PolygonProblem,
@@ -72,8 +74,10 @@ __all__ = [
     "PackedVolume",
     "PartScores",
     "PinholeView",
+    "PixelRays",
     "PolygonLikelihoodSettings",
     "PolygonProblem",
+    "SilhouettePixels",
     "SumProblem",
     "SurfaceFitSettings",
     "SurfaceProblem",
@@ -81,7 +85,7 @@ __all__ = [
     "VoxelProblem",
     "bundle_markers",
     "colour_bins",
-    "colour_bins_of_voxels",
+    "colour_bins_of_pixels",
     "factorised_log_likelihood",
     "fast_part_scores",
     "global_log_likelihood",
@@ -94,10 +98,12 @@ __all__ = [
     "part_scores",
     "part_scores_numpy",
     "person_outlines",
+    "person_rays",
     "pinhole_view",
     "point_jacobian",
     "polygon_scores",
     "polygon_scores_numpy",
     "random_walk_std",
+    "sample_silhouettes",
     "undistort",
 ]

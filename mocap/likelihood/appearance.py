@@ -1,34 +1,35 @@
 """Colours of the body: evidence from inside the silhouettes, where an arm before the trunk leaves no other trace.
 
 A body is divided into zones. What colours each zone has is learnt while the person is followed; a pose is good when the
-surface voxels nearest to each zone have its colours.
+pixels in which each zone is seen have its colours.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body.kinematics import cones_of, cones_of_particles
+from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
 from mocap.body.model import Body
-from mocap.likelihood._appearance_kernels import limb_values, zones_of_points
+from mocap.likelihood._appearance_kernels import limb_values, zones_of_rays
 
 Array = NDArray[np.float64]
 
 _LUMA_BITS, _CHROMA_BITS = 3, 5
 _CHROMA_LOW, _CHROMA_HIGH = 64, 192  # clothes and skin lie within; the rest goes into the outermost bins
 N_COLOURS = 1 << (_LUMA_BITS + 2 * _CHROMA_BITS)
-_PRIOR_VOXELS = 50.0  # a zone with fewer voxels still looks like the whole body
-_BLUNT = 0.05  # share of voxels whose colour says nothing: shadows, seams, pixels of a neighbour
-_TOUCH_M = 0.05  # a zone learns from voxels within this distance of its flesh
+_PRIOR_PIXELS = 100.0  # a zone with fewer pixels still looks like the whole body
+_BLUNT = 0.05  # share of pixels whose colour says nothing: shadows, seams, pixels of a neighbour
+_TOUCH_M = 0.05  # a ray that passes the flesh this closely sees it: clothes
 _LONG_SHARE = 0.08  # of the body's height: longer cones have two zones, such as sleeve and skin
 
 
-def colour_bins_of_voxels(rgb: NDArray[np.uint8]) -> NDArray[np.int64]:
+def colour_bins_of_pixels(rgb: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Colours (N, 3) uint8 as bins (N,): luma coarse, chroma fine."""
     if len(rgb) == 0:
         return np.zeros(0, dtype=np.int64)
@@ -75,7 +76,7 @@ def _unsided(name: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """What is known of one person's colours.  counts : (Z, N_COLOURS) surface voxels so far, by zone and colour."""
+    """What is known of one person's colours.  counts : (Z, N_COLOURS) pixels so far, by zone and colour."""
 
     zones: BodyZones
     counts: NDArray[np.float32]
@@ -86,7 +87,7 @@ class Appearance:
         total = self.counts.sum(axis=0, dtype=np.float64) + 1e-3
         body = total / total.sum()
         of_zone = self.counts.sum(axis=1, keepdims=True, dtype=np.float64)
-        zone = (self.counts + _PRIOR_VOXELS * body) / (of_zone + _PRIOR_VOXELS)
+        zone = (self.counts + _PRIOR_PIXELS * body) / (of_zone + _PRIOR_PIXELS)
         return np.log((1.0 - _BLUNT) * zone / body + _BLUNT).astype(np.float32)
 
 
@@ -97,87 +98,142 @@ def new_appearance(body: Body) -> Appearance:
 
 
 @dataclass(frozen=True, eq=False)
-class ColourProblem:
-    """Colours of one frame's hull surface, and how well poses explain them.
+class PixelRays:
+    """Pixels of one person in one frame.
 
-    points : (M, 3) m, surface voxels that a camera sees.  bins : (M,) their colours.
+    origins : (C, 3) m, the cameras' centres.  camera : (M,) index.  directions : (M, 3) unit, world.  bins : (M,) the
+    pixels' colours, see `colour_bins`.
     """
 
-    body: Body
-    points: Array
+    origins: Array
+    camera: NDArray[np.int64]
+    directions: Array
     bins: NDArray[np.int64]
-    appearance: Appearance
-    _scratch: tuple[NDArray[np.int64], Array] = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        n = len(self.points)
-        object.__setattr__(self, "_scratch", (np.zeros(n, dtype=np.int64), np.zeros(n)))
+    def __len__(self) -> int:
+        return len(self.camera)
+
+    def every(self, n: int) -> PixelRays:
+        """Only every n-th of them."""
+        return self if n <= 1 else self.taken(np.arange(0, len(self), n))
+
+    def taken(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> PixelRays:
+        """Only some of them, by index or as a mask."""
+        return PixelRays(self.origins, self.camera[which], self.directions[which], self.bins[which])
+
+
+def _passing(rays: PixelRays, center: Array, radius: float) -> NDArray[np.bool_]:
+    """Rays that pass a place (3,) within a radius, m, (M,)."""
+    to = (center - rays.origins)[rays.camera]
+    along = np.einsum("mc,mc->m", to, rays.directions)
+    return np.asarray(np.einsum("mc,mc->m", to, to) - along**2 < radius**2)
+
+
+@dataclass(frozen=True, eq=False)
+class ColourProblem:
+    """Colours of one frame's pixels, and how well poses explain them."""
+
+    body: Body
+    rays: PixelRays
+    appearance: Appearance
 
     def log_ratio(self, states: Array) -> Array:
-        """Mean over the points of log p(colour | zone under the pose) / p(colour | body), for states (K, D): (K,)."""
-        if len(self.points) == 0:
+        """Mean over the pixels of log p(colour | zone seen under the pose) / p(colour | body), for states (K, D): (K,).
+
+        A pixel in which no zone is seen says nothing.
+        """
+        if len(self.rays) == 0:
             return np.zeros(len(states))
-        table = self.appearance.log_ratio
-        return np.array([table[self._zones(state)[0], self.bins].mean() for state in states])
+        return np.array([self._values(self.rays, self._seen(self.rays, s)[0]).mean() for s in states])
 
     def learnt(self, state: Array, trusted: NDArray[np.bool_]) -> Appearance:
         """The appearance with this frame under a pose (D,) added.  trusted : (P,) parts that are where it says."""
-        zone, distance = self._zones(state)
-        owner = np.zeros(self.appearance.zones.n_zones, dtype=np.bool_)
+        zone, _, miss = self._seen(self.rays, state)
+        zones = self.appearance.zones
+        owner = np.zeros(zones.n_zones, dtype=np.bool_)
         for k, part in enumerate(self.body.cones.part):
-            first = self.appearance.zones.first[k]
-            owner[first : first + self.appearance.zones.n[k]] |= trusted[part]
-        near = (distance < _TOUCH_M) & owner[zone]
+            owner[zones.first[k] : zones.first[k] + zones.n[k]] |= trusted[part]
+        sure = (zone >= 0) & (miss <= 0)
+        sure[sure] = owner[zone[sure]]
         counts = self.appearance.counts.copy()
-        np.add.at(counts, (zone[near], self.bins[near]), 1.0)
-        return Appearance(self.appearance.zones, counts)
+        np.add.at(counts, (zone[sure], self.rays.bins[sure]), 1.0)
+        return Appearance(zones, counts)
 
-    def limb_log_ratio(self, state: Array, particles: Array, limb: list[int], every: int = 1) -> Array:
+    def limb_log_ratio(self, state: Array, particles: Array, limb: Sequence[int], every: int = 1) -> Array:
         """`log_ratio` of particles (N, D) that differ from a state (D,) in one limb's columns only, less the state's.
 
-        limb : its parts.  every : only every so many of the points, for a search.
+        limb : its parts.  every : only every so many of the pixels, for a search.
         """
-        if len(self.points) == 0:
-            return np.zeros(len(particles))
+        return self.limb(state, limb, every)(particles)
+
+    def limb(self, state: Array, limb: Sequence[int], every: int = 1) -> Callable[[Array], Array]:
+        """`limb_log_ratio` as a function of the particles, for many calls."""
+        rays = self.rays.every(every)
+        if len(rays) == 0:
+            return lambda particles: np.zeros(len(particles))
         body, zones = self.body, self.appearance.zones
         own = np.isin(body.cones.part, limb)
-        start, end = cones_of(body, state)
-        points, bins = np.ascontiguousarray(self.points[::every]), np.ascontiguousarray(self.bins[::every])
-        zone, distance = np.zeros(len(points), dtype=np.int64), np.zeros(len(points))
-        rest = ~own
-        zones_of_points(
-            points,
-            start[rest],
-            end[rest],
-            body.cones.radii[rest],
-            zones.first[rest],
-            zones.n[rest],
-            zone,
-            distance,
-        )
-        table = self.appearance.log_ratio
-        other = table[zone, bins].astype(np.float64)
-        starts, ends = cones_of_particles(body, particles, own)
-        values = np.empty(len(particles))
-        limb_values(
-            points,
-            bins,
-            table,
-            distance,
-            other,
-            starts,
-            ends,
-            body.cones.radii[own],
-            zones.first[own],
-            zones.n[own],
-            values,
-        )
-        own_zone, _ = self._zones(state)
-        return (values - table[own_zone[::every], bins].sum()) / len(points)
+        near = rays.taken(_passing(rays, *self._reach(state, own)))
+        zone, depth, miss = self._seen(near, state, ~own)
+        other = self._values(near, zone)
+        before = self._values(near, self._seen(near, state)[0]).sum()
+        cones = body.cones.radii[own], zones.first[own], zones.n[own]
 
-    def _zones(self, state: Array) -> tuple[NDArray[np.int64], Array]:
+        def value(particles: Array) -> Array:
+            starts, ends = cones_of_particles(body, particles, own)
+            values = np.empty(len(particles))
+            limb_values(
+                near.origins,
+                near.camera,
+                near.directions,
+                near.bins,
+                self.appearance.log_ratio,
+                depth,
+                miss,
+                other,
+                starts,
+                ends,
+                *cones,
+                values,
+            )
+            return np.asarray((values - before) / len(rays))
+
+        return value
+
+    def _reach(self, state: Array, own: NDArray[np.bool_]) -> tuple[Array, float]:
+        """Where the limb of some cones is attached in a pose, (3,) m, and how far it can reach, m."""
+        body = self.body
+        joints = sorted(set(body.cones.joint[own].tolist()))
+        _, t = joint_transforms(body, state[None])
+        flesh = np.linalg.norm(body.cones.end[own], axis=1) + body.cones.radii[own].max(axis=1)
+        bones = np.linalg.norm(body.offset[joints[1:]], axis=1).sum()
+        return t[0, joints[0]], float(bones + flesh.max()) + _TOUCH_M
+
+    def _values(self, rays: PixelRays, zone: NDArray[np.int64]) -> Array:
+        """Log-ratio of every pixel's colour in its zone (M,); 0 for no zone."""
+        found = self.appearance.log_ratio[np.maximum(zone, 0), rays.bins].astype(np.float64)
+        return np.where(zone >= 0, found, 0.0)
+
+    def _seen(
+        self, rays: PixelRays, state: Array, which: NDArray[np.bool_] | None = None
+    ) -> tuple[NDArray[np.int64], Array, Array]:
+        """Zone seen in every pixel, its depth and by how much the ray misses it.  which : (K,) cones, None = all."""
+        chosen = np.ones(len(self.body.cones.part), dtype=np.bool_) if which is None else which
         start, end = cones_of(self.body, state)
-        zones = self.appearance.zones
-        zone, distance = self._scratch
-        zones_of_points(self.points, start, end, self.body.cones.radii, zones.first, zones.n, zone, distance)
-        return zone, distance
+        zones, n = self.appearance.zones, len(rays)
+        zone, depth, miss = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n)
+        zones_of_rays(
+            rays.origins,
+            rays.camera,
+            rays.directions,
+            start[chosen],
+            end[chosen],
+            self.body.cones.radii[chosen],
+            zones.first[chosen],
+            zones.n[chosen],
+            _TOUCH_M,
+            zone,
+            depth,
+            miss,
+        )
+        return zone, depth, miss

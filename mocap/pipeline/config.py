@@ -159,8 +159,8 @@ class PoseConfig(_Section):
     posture_nats: float = Field(default=2.0, ge=0)
     """What it costs an arm to point at right angles to where it hangs at ease, half of what the opposite way costs: it
     decides what the data do not."""
-    colour_weight: float = Field(default=100.0, ge=0)
-    """Nats that the colours of the hull's surface are worth in the evidence, per nat of a point's colour; 0 = without.
+    colour_weight: float = Field(default=200.0, ge=0)
+    """Nats that the colours of the silhouettes are worth in the evidence, per nat of a pixel's colour; 0 = without.
     What colours the limbs have is learnt while the person is followed."""
     feedback_share: float = Field(default=0.5, ge=0, lt=1)
     """Share of the particles that take over the refined pose."""

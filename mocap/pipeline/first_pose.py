@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mocap.body import Body, candidate_states
 from mocap.filters import ApfSettings, ParticleState, apf_step, initial_particles
 from mocap.likelihood import Appearance
-from mocap.pipeline.limbs import recover_limbs
+from mocap.pipeline.limbs import first_parts, recover_limbs
 from mocap.pipeline.pose_problem import FrameProblem, PoseTools, PreparedHull
 
 Array = NDArray[np.float64]
@@ -78,7 +78,8 @@ class PoseSearch:
 
     def with_limbs_recovered(self, found: FirstPose, *, rng: np.random.Generator) -> FirstPose:
         """The same pose after scouts have looked for limbs that fit badly or that the hull shows elsewhere."""
-        state = recover_limbs(self.problem, found.state, look_at_hull=True, max_limbs=4, rng=rng)
+        every = first_parts(self.tools.body.layout)
+        state = recover_limbs(self.problem, found.state, look_at=every, max_limbs=4, rng=rng)
         value = float(self.judge([state])[0])
         return FirstPose(found.frame, state, found.label, value) if value > found.log_likelihood else found
 

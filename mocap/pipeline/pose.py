@@ -30,7 +30,7 @@ from mocap.pipeline.first_pose import (
     try_first_poses,
     walking_velocity,
 )
-from mocap.pipeline.limbs import Lookout, recover_limbs
+from mocap.pipeline.limbs import Lookout, limb_misfits, recover_limbs
 from mocap.pipeline.pose_problem import (
     MIN_VOXELS,
     FrameProblem,
@@ -212,11 +212,11 @@ def filter_frames(
         value = float(frame.evidence([estimate])[0])
         if tools.pose.scouts:
             before = value
-            is_due = lookout.is_due(before)
-            estimate = recover_limbs(frame, estimate, previous, look_at_hull=is_due, max_limbs=3, rng=rng)
+            per_part = frame.voxels.log_likelihood(estimate[None])[0]
+            look_at = lookout.due(before, limb_misfits(tools.body.layout, per_part))
+            estimate = recover_limbs(frame, estimate, previous, look_at=look_at, max_limbs=2, rng=rng)
             value = float(frame.evidence([estimate])[0])
-            if is_due:
-                lookout.note(value - before)
+            lookout.note(value - before, look_at)
         if tools.pose.scouts and (has_returned or rescue.is_due(i, value)):
             velocity = walking_velocity(frames, xyz, i, tools.fps)
             search = PoseSearch(

@@ -21,11 +21,11 @@ from mocap.likelihood import (
     OutlineProblem,
     Outlines,
     PackedVolume,
+    PixelRays,
     SurfaceFitSettings,
     SurfaceProblem,
     VoxelLikelihoodSettings,
     VoxelProblem,
-    colour_bins_of_voxels,
     hull_surface,
 )
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
@@ -35,7 +35,6 @@ from mocap.volume import surface_map
 Array = NDArray[np.float64]
 
 CROP_MARGIN_M = 0.3  # how far beyond the hull particles may meet themselves
-N_COLOUR_POINTS = 600  # of the surface voxels, evenly thinned out
 MIN_VOXELS = 200  # fewer (1.6 litres at 2 cm) are no body: the pose is carried on instead
 # Nats per square metre of mean surface cost: the lost arm of a person, a tenth of the surface, is worth about 7.
 NATS_PER_M2 = 90_000.0
@@ -46,14 +45,13 @@ class PersonHull:
     """The voxels of one person in one frame.  voxels : (N,) int32 ascending.  is_surface : (N,) bool.
 
     outlines : makes the person's outlines in the cameras, or None where there are no masks.
-    rgb : (N, 3) uint8, the voxels' colours, and is_seen : (N,) bool, whether a camera sees them; None without pictures.
+    rays : makes the rays through the person's pixels, or None where there are no pictures.
     """
 
     voxels: NDArray[np.int32]
     is_surface: NDArray[np.bool_]
     outlines: Callable[[], Outlines] | None = None
-    rgb: NDArray[np.uint8] | None = None
-    is_seen: NDArray[np.bool_] | None = None
+    rays: Callable[[], PixelRays] | None = None
 
 
 HullOf = Callable[[int], PersonHull | None]
@@ -77,6 +75,7 @@ class PreparedHull:
     volume: PackedVolume
     surface: HullSurface
     outlines: Outlines | None
+    rays: PixelRays | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +108,9 @@ class PoseTools:
         surface = hull_surface(hull.voxels, hull.is_surface, self.grid, volume)
         with_outlines = hull.outlines is not None and self.pose.outline_weight > 0
         outlines = hull.outlines() if hull.outlines is not None and with_outlines else None
-        return PreparedHull(hull, volume, surface, outlines)
+        with_colours = hull.rays is not None and self.pose.colour_weight > 0
+        rays = hull.rays() if hull.rays is not None and with_colours else None
+        return PreparedHull(hull, volume, surface, outlines, rays)
 
     def frame(self, hull: PersonHull | PreparedHull, appearance: Appearance | None = None) -> FrameProblem:
         """What poses are judged by in the frame of a hull.  appearance : what is known of the person's colours."""
@@ -122,16 +123,10 @@ class PoseTools:
             outlines=None
             if known.outlines is None
             else OutlineProblem(self.body, self.table, known.outlines, self.outline_fit),
-            colours=self._colours(known.hull, appearance),
+            colours=None
+            if known.rays is None or appearance is None
+            else ColourProblem(self.body, known.rays, appearance),
         )
-
-    def _colours(self, hull: PersonHull, appearance: Appearance | None) -> ColourProblem | None:
-        if appearance is None or hull.rgb is None or hull.is_seen is None or self.pose.colour_weight == 0:
-            return None
-        seen = np.flatnonzero(hull.is_seen)
-        seen = seen[:: max(1, len(seen) // N_COLOUR_POINTS)]
-        points = self.grid.centers(hull.voxels[seen])
-        return ColourProblem(self.body, points, colour_bins_of_voxels(hull.rgb[seen]), appearance)
 
 
 @dataclass(frozen=True, eq=False)

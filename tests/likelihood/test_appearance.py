@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from flesh_voxels import Flesh
 
-from mocap.body import load_body_model, neutral_state, scale_body
-from mocap.likelihood import Appearance, ColourProblem, colour_bins_of_voxels, new_appearance
+from mocap.body import cones_of, load_body_model, neutral_state, scale_body
+from mocap.body.flesh import cone_distances
+from mocap.likelihood import Appearance, ColourProblem, PixelRays, colour_bins_of_pixels, new_appearance
 from mocap.likelihood import _appearance_kernels as kernels
 from mocap.likelihood.appearance import N_COLOURS, body_zones
 
@@ -27,26 +28,54 @@ def standing(coarse_flesh: Flesh) -> np.ndarray:
     return state
 
 
+def rays_at(flesh: Flesh, state: np.ndarray, n: int = 900) -> PixelRays:
+    """Rays from four cameras around a body through points in and beside its flesh."""
+    rng = np.random.default_rng(3)
+    angle = np.array([0.3, 1.9, 3.4, 5.0])
+    origins = np.column_stack([3 * np.cos(angle), 3 * np.sin(angle), np.full(4, 1.2)])
+    start, end = cones_of(flesh.body, state)
+    k = rng.integers(0, len(start), n)
+    aim = start[k] + rng.random((n, 1)) * (end[k] - start[k]) + rng.normal(0.0, 0.03, (n, 3))
+    camera = np.arange(n) % 4
+    directions = aim - origins[camera]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return PixelRays(origins, camera, directions, np.zeros(n, dtype=np.int64))
+
+
+def cones_seen(flesh: Flesh, state: np.ndarray, rays: PixelRays) -> np.ndarray:
+    """The cone that every ray enters first, -1 for none: found by marching along the rays in steps of 4 mm."""
+    start, end = cones_of(flesh.body, state)
+    depth = np.arange(1.5, 4.5, 0.004)
+    seen = np.full(len(rays), -1)
+    for i in range(len(rays)):
+        along = rays.origins[rays.camera[i]] + depth[:, None] * rays.directions[i]
+        distance = cone_distances(along, start, end, flesh.body.cones.radii, True)
+        entered = np.flatnonzero((distance <= 0).any(axis=1))
+        if len(entered):
+            seen[i] = distance[entered[0]].argmin()
+    return seen
+
+
 def dressed(flesh: Flesh, state: np.ndarray, appearance: Appearance | None = None) -> ColourProblem:
-    """The surface of the body's own hull: skin below the elbow and above the neck, a shirt, trousers."""
-    hull = flesh.hull(state)
-    surface = hull.voxels[hull.is_surface]
-    rgb = np.empty((len(surface), 3), dtype=np.uint8)
-    rgb[:] = SHIRT
+    """What cameras see of the body: skin below the elbow and above the neck, a shirt, trousers."""
+    rays = rays_at(flesh, state)
+    seen = cones_seen(flesh, state, rays)
+    rays = rays.taken(seen >= 0)
     parts = flesh.body.layout.parts
-    for k, name in enumerate(parts):
-        colour = (
+    names = [parts[p] for p in flesh.body.cones.part[seen[seen >= 0]]]
+    rgb = np.array(
+        [
             SKIN
             if "forearm" in name or name == "head"
             else TROUSERS
             if "thigh" in name or "shank" in name
-            else None
-        )
-        if colour is not None:
-            own = flesh.hull(state, without=tuple(p for p in range(len(parts)) if p != k)).voxels
-            rgb[np.isin(surface, own)] = colour
+            else SHIRT
+            for name in names
+        ],
+        dtype=np.uint8,
+    )
     known = new_appearance(flesh.body) if appearance is None else appearance
-    return ColourProblem(flesh.body, flesh.grid.centers(surface), colour_bins_of_voxels(rgb), known)
+    return ColourProblem(flesh.body, replace(rays, bins=colour_bins_of_pixels(rgb)), known)
 
 
 def all_parts(flesh: Flesh) -> np.ndarray:
@@ -62,13 +91,13 @@ def moved_arm(flesh: Flesh, state: np.ndarray) -> np.ndarray:
 def test_bins_tell_clothes_from_skin_and_stay_in_range() -> None:
     rng = np.random.default_rng(0)
     rgb = rng.integers(0, 256, (500, 3)).astype(np.uint8)
-    bins = colour_bins_of_voxels(rgb)
+    bins = colour_bins_of_pixels(rgb)
     assert bins.shape == (500,)
     assert bins.min() >= 0
     assert bins.max() < N_COLOURS
-    apart = colour_bins_of_voxels(np.array([SHIRT, TROUSERS, SKIN], dtype=np.uint8))
+    apart = colour_bins_of_pixels(np.array([SHIRT, TROUSERS, SKIN], dtype=np.uint8))
     assert len(set(apart.tolist())) == 3
-    assert len(colour_bins_of_voxels(np.zeros((0, 3), dtype=np.uint8))) == 0
+    assert len(colour_bins_of_pixels(np.zeros((0, 3), dtype=np.uint8))) == 0
 
 
 @pytest.mark.parametrize("name", ["anthropometric", "thesis"])
@@ -142,7 +171,7 @@ def test_kernels_agree_with_their_python(
 ) -> None:
     appearance = dressed(coarse_flesh, standing).learnt(standing, all_parts(coarse_flesh))
     whole = dressed(coarse_flesh, standing, appearance)
-    colours = replace(whole, points=whole.points[::40], bins=whole.bins[::40])
+    colours = replace(whole, rays=whole.rays.every(8))
     particles = np.stack([standing, moved_arm(coarse_flesh, standing)])
     limb = [
         coarse_flesh.body.layout.parts.index("right_upper_arm"),
@@ -150,18 +179,55 @@ def test_kernels_agree_with_their_python(
     ]
     compiled = colours.log_ratio(particles), colours.limb_log_ratio(standing, particles, limb)
     module = "mocap.likelihood.appearance."
-    monkeypatch.setattr(kernels, "nearest_cone", kernels.nearest_cone.py_func)
-    monkeypatch.setattr(module + "zones_of_points", kernels.zones_of_points.py_func)
+    monkeypatch.setattr(kernels, "first_cone", kernels.first_cone.py_func)
+    monkeypatch.setattr(kernels, "bounding_spheres", kernels.bounding_spheres.py_func)
+    monkeypatch.setattr(module + "zones_of_rays", kernels.zones_of_rays.py_func)
     monkeypatch.setattr(module + "limb_values", kernels.limb_values.py_func)
     slow = colours.log_ratio(particles), colours.limb_log_ratio(standing, particles, limb)
     for a, b in zip(compiled, slow, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
 
-def test_no_visible_voxel_says_nothing(coarse_flesh: Flesh, standing: np.ndarray) -> None:
-    empty = ColourProblem(
-        coarse_flesh.body, np.zeros((0, 3)), np.zeros(0, dtype=np.int64), new_appearance(coarse_flesh.body)
+def test_rays_see_the_cone_that_they_enter_first(coarse_flesh: Flesh, standing: np.ndarray) -> None:
+    """Against marching along the rays; caps and oblique cones are entered a little deeper than computed."""
+    rays = rays_at(coarse_flesh, standing)
+    seen = cones_seen(coarse_flesh, standing, rays)
+    colours = ColourProblem(coarse_flesh.body, rays, new_appearance(coarse_flesh.body))
+    zone, depth, miss = colours._seen(rays, standing)
+    zones, cones = colours.appearance.zones, coarse_flesh.body.cones
+    hit = seen >= 0
+    assert 0.5 < hit.mean() < 1.0
+    assert ((miss <= 0) == hit).mean() > 0.99
+    both = hit & (miss <= 0)
+    assert np.isfinite(depth[both]).all()
+    offset = zone[both] - zones.first[seen[both]]
+    same_zone = (offset >= 0) & (offset < zones.n[seen[both]])
+    assert same_zone.mean() > 0.9
+    body_part = np.array([cones.part[np.flatnonzero(zones.first <= z)[-1]] for z in zone[both]])
+    assert len(np.unique(body_part)) > 3
+    assert (zone[~hit & (miss > 0) & (miss >= 0.05)] == -1).all()
+
+
+def test_an_arm_before_the_trunk_is_seen(coarse_flesh: Flesh, standing: np.ndarray) -> None:
+    """Where neither hull nor outline show an arm, its colour does."""
+    names = coarse_flesh.body.layout.names
+    before = standing.copy()
+    for name, value in (("right_shoulder_x", 0.9), ("right_shoulder_z", 1.2), ("right_elbow_z", 1.7)):
+        before[names.index(name)] = value
+    appearance = dressed(coarse_flesh, standing).learnt(standing, all_parts(coarse_flesh))
+    colours = dressed(coarse_flesh, before, appearance)
+    hidden = before.copy()
+    hidden[names.index("right_shoulder_z")] = 0.0
+    hidden[names.index("right_elbow_z")] = 0.1
+    good, bad = colours.log_ratio(np.stack([before, hidden]))
+    assert good > bad + 0.02
+
+
+def test_no_visible_pixel_says_nothing(coarse_flesh: Flesh, standing: np.ndarray) -> None:
+    none = PixelRays(
+        np.zeros((4, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     )
+    empty = ColourProblem(coarse_flesh.body, none, new_appearance(coarse_flesh.body))
     assert empty.log_ratio(standing[None]).tolist() == [0.0]
     assert empty.limb_log_ratio(standing, standing[None], [1]).tolist() == [0.0]
     assert empty.learnt(standing, all_parts(coarse_flesh)).counts.sum() == 0

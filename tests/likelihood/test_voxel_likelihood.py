@@ -9,6 +9,7 @@ from flesh_voxels import Flesh, make_flesh
 
 from mocap.body import joint_transforms, landmarks_of, neutral_state
 from mocap.data import VoxelGrid
+from mocap.filters.scout import limbs_of
 from mocap.likelihood import (
     PackedVolume,
     PartScores,
@@ -21,7 +22,7 @@ from mocap.likelihood import (
     part_scores_numpy,
 )
 from mocap.likelihood._kernels import part_scores_kernel
-from mocap.likelihood.voxels import SURFACE_MAX, _select
+from mocap.likelihood.voxels import SURFACE_MAX, _select, held_body
 from mocap.pipeline.pose_problem import PersonHull, pack_volume
 
 FIELDS = ("out", "double", "occupied", "surface")
@@ -370,3 +371,90 @@ def test_bad_input_is_refused(coarse_flesh: Flesh, volume: PackedVolume) -> None
             part_scores(
                 coarse_flesh.body, coarse_flesh.table, volume, np.zeros((2, 27)), parts=parts, given=given
             )
+
+
+def moved_limb(flesh: Flesh, limb: list[int], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """A pose, and n poses that differ from it in one limb, all over its range."""
+    layout = flesh.body.layout
+    held = scatter(flesh, 1, 0.02, 0.2)[0]
+    columns = np.flatnonzero(np.isin(layout.part_of_column, limb))
+    particles = np.tile(held, (n, 1))
+    rng = np.random.default_rng(5)
+    particles[:, columns] = rng.uniform(layout.lower[columns], layout.upper[columns], (n, len(columns)))
+    return held, particles
+
+
+@pytest.mark.parametrize("first", range(1, 6))
+def test_a_limb_of_a_held_body_scores_as_with_all_others_given(
+    coarse_flesh: Flesh, volume: PackedVolume, first: int
+) -> None:
+    limb = limbs_of(coarse_flesh.body.layout)[first - 1]
+    held, particles = moved_limb(coarse_flesh, limb, 31)
+    args = coarse_flesh.body, coarse_flesh.table, volume
+    rest = [p for p in range(coarse_flesh.body.layout.n_parts) if p not in limb]
+    fixed = held_body(*args, held, limb)
+    expected = part_scores(*args, particles, parts=limb, given=rest)
+    assert_same(fixed.scores(particles), expected)
+    assert expected.double.max() > 0
+    assert_same(fixed.scores(particles), expected)  # nothing of the first call is left in the scratch
+
+
+def test_a_held_limb_may_leave_the_crop_and_the_room(coarse_flesh: Flesh, volume: PackedVolume) -> None:
+    limb = limbs_of(coarse_flesh.body.layout)[1]
+    held, particles = moved_limb(coarse_flesh, limb, 9)
+    held[0] += 1.0
+    particles[:, 0] += 1.0
+    args = coarse_flesh.body, coarse_flesh.table, volume
+    rest = [p for p in range(coarse_flesh.body.layout.n_parts) if p not in limb]
+    expected = part_scores(*args, particles, parts=limb, given=rest)
+    assert expected.out.max() > 0
+    assert_same(held_body(*args, held, limb).scores(particles), expected)
+
+
+@pytest.mark.parametrize("kind", ["exact", "fast"])
+@pytest.mark.parametrize("factorised", [True, False])
+def test_limb_log_likelihood_is_that_of_the_limb_s_parts(
+    coarse_flesh: Flesh, volume: PackedVolume, kind: str, factorised: bool
+) -> None:
+    settings = VoxelLikelihoodSettings(kind=kind, factorised=factorised)
+    problem = VoxelProblem(coarse_flesh.body, coarse_flesh.table, volume, settings)
+    limb = limbs_of(problem.layout)[1]
+    held, particles = moved_limb(coarse_flesh, limb, 12)
+    rest = [p for p in range(problem.layout.n_parts) if p not in limb]
+    expected = problem.log_likelihood(particles, limb, rest).sum(axis=1)
+    np.testing.assert_allclose(problem.limb_log_likelihood(held, limb)(particles), expected, atol=1e-12)
+
+
+def test_held_kernels_agree_with_their_python(
+    coarse_flesh: Flesh, volume: PackedVolume, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limb = limbs_of(coarse_flesh.body.layout)[1]
+    held, particles = moved_limb(coarse_flesh, limb, 2)
+    args = coarse_flesh.body, coarse_flesh.table, volume
+    compiled = held_body(*args, held, limb).scores(particles)
+    module = "mocap.likelihood.voxels."
+    monkeypatch.setattr(module + "take_voxels", _kernels.take_voxels.py_func)
+    monkeypatch.setattr(module + "limb_scores_kernel", _kernels.limb_scores_kernel.py_func)
+    monkeypatch.setattr(_kernels, "_placed_indices", _kernels._placed_indices.py_func)
+    assert_same(held_body(*args, held, limb).scores(particles), compiled)
+
+
+@pytest.mark.parametrize("limb", [[], list(range(8)), [2, 2], [40]])
+def test_a_limb_that_is_none_is_refused(coarse_flesh: Flesh, volume: PackedVolume, limb: list[int]) -> None:
+    state = neutral_state(coarse_flesh.body)
+    with pytest.raises(ValueError, match=r"limb|parts"):
+        held_body(coarse_flesh.body, coarse_flesh.table, volume, state, limb)
+
+
+def test_limb_in_data_counts_the_axis(coarse_flesh: Flesh, volume: PackedVolume) -> None:
+    """The body's own hull holds its axes; an arm stretched into the air leaves it."""
+    problem = VoxelProblem(coarse_flesh.body, coarse_flesh.table, volume, VoxelLikelihoodSettings())
+    truth = neutral_state(coarse_flesh.body)
+    limb = limbs_of(problem.layout)[1]
+    raised = truth.copy()
+    raised[problem.layout.names.index("right_shoulder_x")] = -1.4
+    found = problem.limb_in_data(np.stack([truth, raised]), limb)
+    assert found[0] == 1.0
+    assert found[1] < 0.4
+    far = truth + np.where(np.arange(len(truth)) < 3, 100.0, 0.0)
+    assert problem.limb_in_data(far[None], limb).tolist() == [0.0]

@@ -14,6 +14,7 @@ from mocap.errors import MocapError
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.io.video import FrameReader
+from mocap.likelihood import sample_silhouettes
 from mocap.pipeline.config import Config
 from mocap.pipeline.stages.report import Progress, StageReport
 from mocap.pipeline.stages.segment import read_masks
@@ -72,7 +73,8 @@ def carve_stage(session: Session, config: Config, store: StageStore, key: str, *
     """Coloured hulls of every frame into the store.
 
     Store: per frame `voxels` (N,) int32, `is_surface` (N,) bool, `n_views` (N,) uint8, `rgb` (N, 3) uint8, `used` (C,)
-    bool, the cameras that took part; grid and camera faults in the attributes.
+    bool, the cameras that took part, and `pixel_camera`, `pixel_uv`, `pixel_rgb` of `SilhouettePixels`; grid and camera
+    faults in the attributes.
     With volume.on_bad_camera=exclude, cameras that turn out to be bad make the stage begin again without them.
     Source: CF 2.2.4.
     """
@@ -170,6 +172,7 @@ def _carve_frames(
             hull = carving.hull(masks, pictures, used[i])
             if monitor is not None:
                 monitor.add(frame, masks, pictures)
+            pixels = sample_silhouettes(masks, pictures, used[i])
             out.append(
                 frame,
                 voxels=hull.voxels,
@@ -177,6 +180,9 @@ def _carve_frames(
                 n_views=hull.n_views,
                 rgb=hull.rgb,
                 used=used[i],
+                pixel_camera=pixels.camera,
+                pixel_uv=pixels.uv,
+                pixel_rgb=pixels.rgb,
             )
             progress("carve", i + 1, len(frames))
         if monitor is not None:

@@ -16,7 +16,15 @@ from mocap.body.stretch import lengths_of, with_lengths
 from mocap.data import Tracks
 from mocap.io.session import Session
 from mocap.io.store import StageStore
-from mocap.likelihood import OutlineFitSettings, Outlines, person_outlines, pinhole_view
+from mocap.likelihood import (
+    OutlineFitSettings,
+    Outlines,
+    PixelRays,
+    SilhouettePixels,
+    person_outlines,
+    person_rays,
+    pinhole_view,
+)
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose import PersonPoses, estimate_height, follow_person
 from mocap.pipeline.pose_problem import HullOf, PersonHull, make_tools
@@ -128,13 +136,17 @@ def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
                 is_whole=found["usable"] & arrays["used"].astype(np.bool_),
             )
 
-        return PersonHull(
-            voxels,
-            is_surface,
-            outlines,
-            rgb=arrays["rgb"][keep].astype(np.uint8, copy=False),
-            is_seen=arrays["n_views"][keep] > 0,
-        )
+        @lru_cache(maxsize=1)
+        def rays() -> PixelRays:
+            pixels = SilhouettePixels(
+                arrays["pixel_camera"].astype(np.uint8, copy=False),
+                arrays["pixel_uv"].astype(np.int16, copy=False),
+                arrays["pixel_rgb"].astype(np.uint8, copy=False),
+            )
+            surface = grid.centers(voxels[is_surface])
+            return person_rays(session.rig, pixels, surface, grid.centers(others.astype(np.int32)))
+
+        return PersonHull(voxels, is_surface, outlines, rays)
 
     return hull_of
 
