@@ -42,7 +42,7 @@ def _colours() -> ColourProblem:
     body = s.voxels.body
     angle = np.arange(4) * np.pi / 2
     origins = points.mean(axis=0) + 3.0 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(4)])
-    camera = np.arange(len(points)) % 4
+    camera = np.sort(np.arange(len(points)) % 4)
     directions = points - origins[camera]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     rays = PixelRays(origins, camera, directions, colour_bins_of_pixels(rgb))

@@ -102,20 +102,21 @@ def scout_limbs(
             particles = particles[np.argsort(-in_data, kind="stable")[: settings.n_samples]]
         value_of = judge(state, limb)
         value = value_of(particles)
-        screened.append((float(value.max() - value_of(state[None])[0]), limb, particles))
+        screened.append((float(value.max() - value_of(state[None])[0]), limb, particles, value))
     screened.sort(key=lambda entry: -entry[0])
 
     tried, accepted = [], []
     alternatives: list[Array] = []
     best = state
-    for _, limb, particles in screened[: settings.max_limbs]:
+    for _, limb, particles, value in screened[: settings.max_limbs]:
         name = layout.parts[limb[0]]
         tried.append(name)
         columns = _bounded_columns(layout, limb)
-        # What an earlier limb has found holds for this one too.
-        particles = np.where(np.isin(np.arange(layout.n_columns), columns), particles, best)
         value_of = judge(best, limb)
-        value = value_of(particles)
+        if best is not state:
+            # What an earlier limb has found holds for this one too.
+            particles = np.where(np.isin(np.arange(layout.n_columns), columns), particles, best)
+            value = value_of(particles)
         seen, seen_value = [particles], [value]
         std = np.zeros(layout.n_columns)
         for scale in layer_scales(settings.n_layers, 0.5):

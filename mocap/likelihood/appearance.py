@@ -101,8 +101,8 @@ def new_appearance(body: Body) -> Appearance:
 class PixelRays:
     """Pixels of one person in one frame.
 
-    origins : (C, 3) m, the cameras' centres.  camera : (M,) index.  directions : (M, 3) unit, world.  bins : (M,) the
-    pixels' colours, see `colour_bins`.
+    origins : (C, 3) m, the cameras' centres.  camera : (M,) index, ascending.  directions : (M, 3) unit, world.
+    bins : (M,) the pixels' colours, see `colour_bins_of_pixels`.
     """
 
     origins: Array
@@ -112,6 +112,11 @@ class PixelRays:
 
     def __len__(self) -> int:
         return len(self.camera)
+
+    @cached_property
+    def first(self) -> NDArray[np.int64]:
+        """Where each camera's rays begin, (C + 1,)."""
+        return np.searchsorted(self.camera, np.arange(len(self.origins) + 1)).astype(np.int64)
 
     def every(self, n: int) -> PixelRays:
         """Only every n-th of them."""
@@ -184,7 +189,7 @@ class ColourProblem:
             values = np.empty(len(particles))
             limb_values(
                 near.origins,
-                near.camera,
+                near.first,
                 near.directions,
                 near.bins,
                 self.appearance.log_ratio,
@@ -224,7 +229,7 @@ class ColourProblem:
         zone, depth, miss = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n)
         zones_of_rays(
             rays.origins,
-            rays.camera,
+            rays.first,
             rays.directions,
             start[chosen],
             end[chosen],

@@ -43,8 +43,8 @@ def sample_silhouettes(
 ) -> SilhouettePixels:
     """Foreground pixels on a lattice, with the mean colour of the 3 x 3 pixels around them.
 
-    masks : (H, W) bool per camera.  pictures : (H, W, 3) uint8 RGB per camera; None gives no pixels.  used : (C,), cameras
-    to take; None = all.
+    masks : (H, W) bool per camera.  pictures : (H, W, 3) uint8 RGB per camera; None gives no pixels.  used : (C,),
+    cameras to take; None = all.
     """
     cameras, places, colours = [], [], []
     for c, mask in enumerate(masks):
@@ -73,8 +73,8 @@ def person_rays(
 ) -> PixelRays:
     """Rays through those pixels that show one person.
 
-    hull_points : (N, 3) m, surface of the person's hull: only pixels near its projection count.  other_points : (K, 3) m,
-    hulls of the other persons: pixels near theirs do not, for who stands in front is not known here.
+    hull_points : (N, 3) m, surface of the person's hull: only pixels near its projection count.  other_points : (K, 3)
+    m, hulls of the other persons: pixels near theirs do not, for who stands in front is not known here.
     """
     cameras: list[NDArray[np.int64]] = []
     directions: list[Array] = []

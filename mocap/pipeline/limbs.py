@@ -24,11 +24,12 @@ _SCOUT_ZEAL = 4.0
 _N_LOST_POINTS = 24
 _EVERY_COLOUR = 4  # of the pixels, in the search
 _N_ALTERNATIVES = 6
+_N_ITERATIONS = 6  # of an alternative
 _LONGEST_PAUSE = 8  # frames between searches for all limbs that find nothing
-_TURN_FRAMES = 2  # frames between searches for single limbs
+_TURN_FRAMES = 3  # frames between searches for single limbs
 _LEAST_MISFIT = 0.5
 _LOOK_AGAIN = 10
-_FALLEN_NATS = 4.0
+_FALLEN_NATS = 6.0
 _FIND_NATS = 1.0  # a smaller gain is no find
 _USUAL_RATE = 0.2
 _FREE_SPEED_M_S = 4.0
@@ -138,7 +139,7 @@ def recover_limbs(
     found, scouted = scout_limbs(
         frame.search, state, settings, rng=rng, bonus=bonus if terms else None, look_at=look_at
     )
-    candidates = [state, *frame.all_refined(list(scouted.alternatives), 6)]
+    candidates = [state, *frame.all_refined(list(scouted.alternatives), _N_ITERATIONS)]
     if scouted.accepted:
         candidates += [found, frame.refined(found)]
     if len(candidates) == 1:
