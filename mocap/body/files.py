@@ -79,7 +79,9 @@ def body_toml(model: BodyModel, comment: str = "") -> str:
             lines.append("dofs = [")
             lines += [
                 f"  {{ name = {_text(d.name)}, axis = {_text(d.axis)}, limits = {_list(d.limits)}, "
-                f"speed = {_number(d.speed)}, circular = {_bool(d.circular)} }},"
+                f"speed = {_number(d.speed)}, circular = {_bool(d.circular)}"
+                + ("" if d.usual_std is None else f", usual_std = {_number(d.usual_std)}")
+                + " },"
                 for d in joint.dofs
             ]
             lines.append("]")

@@ -40,6 +40,8 @@ class DofSpec(_Strict):
     speed: float = Field(gt=0)
     """Largest expected angular speed, rad/s; half of it over one frame is the propagation noise (CF 3.2.2)."""
     circular: bool = False
+    usual_std: float | None = Field(default=None, gt=0)
+    """How far the angle usually is from 0, rad: half a nat at this angle; none = every angle is as usual."""
 
 
 class JointSpec(_Strict):
@@ -117,6 +119,7 @@ class Body:
     dof_joint, dof_axis, dof_column : one row per rotation, in the order of application.
     layout : columns of the state; 0..2 are the root's position, m; the rest are rad.
     max_speed : (D,) largest expected speed per column, m/s or rad/s.
+    usual_std : (D,) how far a column usually is from 0, rad; inf = nothing is known.
     landmark_joint : (15,), landmark_offset : (15, 3) m in the joint's frame.
     variance : (P, 4) factors of CF Table 6.2.
     Source: CF Eq. 6.2.
@@ -132,6 +135,7 @@ class Body:
     dof_column: NDArray[np.int64]
     layout: StateLayout
     max_speed: Array
+    usual_std: Array
     landmark_joint: NDArray[np.int64]
     landmark_offset: Array
     cones: Cones
@@ -153,7 +157,7 @@ def body_presets() -> tuple[str, ...]:
 
 
 def load_body_model(name_or_path: str | Path) -> BodyModel:
-    """Read a body file: a preset's name (`anthropometric`, `thesis`) or a path to a TOML file.
+    """Read a body file: a preset's name (`anthropometric`, `girdle`, `thesis`) or a path to a TOML file.
 
     Raises MocapError with the dotted path of the first offending key.
     """
@@ -258,6 +262,7 @@ def scale_body(model: BodyModel, height_m: float) -> Body:
     upper = [math.inf] * 3
     speed = list(model.joint[0].translation_speed or (1.0, 1.0, 1.0))
     circular = [False] * 3
+    usual_std = [math.inf] * 3
     dof_joint, dof_axis, column_joint = [], [], [0, 0, 0]
     for j, joint in enumerate(model.joint):
         for dof in joint.dofs:
@@ -266,6 +271,7 @@ def scale_body(model: BodyModel, height_m: float) -> Body:
             upper.append(math.inf if dof.circular else dof.limits[1])
             speed.append(dof.speed)
             circular.append(dof.circular)
+            usual_std.append(math.inf if dof.usual_std is None else dof.usual_std)
             dof_joint.append(j)
             dof_axis.append(_AXES[dof.axis])
             column_joint.append(j)
@@ -296,6 +302,7 @@ def scale_body(model: BodyModel, height_m: float) -> Body:
         dof_column=np.arange(3, len(names), dtype=np.int64),
         layout=layout,
         max_speed=np.array(speed),
+        usual_std=np.array(usual_std),
         landmark_joint=np.array([index[model.landmarks[n].joint] for n in LANDMARKS], dtype=np.int64),
         landmark_offset=np.array([model.landmarks[n].offset for n in LANDMARKS]) * height_m,
         cones=Cones(

@@ -58,7 +58,9 @@ def see_cones(origins, first, directions, start, end, radii, depth, miss, cone, 
                 limit = reach + miss[i]
                 if square_m - along * along > limit * limit or along < 0.0 or along - reach >= depth[i]:
                     continue
-                s, nearest, square, radius = meet_cone(o, directions[i], start[k], end[k], radii[k], square_length)
+                s, nearest, square, radius = meet_cone(
+                    o, directions[i], start[k], end[k], radii[k], square_length
+                )
                 if square < radius * radius:
                     entry = nearest - math.sqrt(radius * radius - square)
                     if entry < depth[i]:
@@ -75,7 +77,9 @@ def see_cones(origins, first, directions, start, end, radii, depth, miss, cone, 
 
 
 @njit(cache=True, nogil=True)
-def zones_of_rays(origins, first, directions, start, end, radii, first_zone, n_zones, touch, zone, depth, miss):
+def zones_of_rays(
+    origins, first, directions, start, end, radii, first_zone, n_zones, touch, zone, depth, miss
+):
     """Zone that every ray (M,) meets first, or passes most closely, at most `touch` away; -1 for none.
 
     first_zone, n_zones : (K,), along a cone.  depth, miss : (M,), filled; the rest as for `see_cones`.

@@ -15,11 +15,11 @@ _DAMPING_MAX = 1e4
 
 
 @njit(cache=True, nogil=True)
-def fit_equations(state, body, surface, outlines, weights, H, g, H_part, g_part):
+def fit_equations(state, body, surface, outlines, weights, usual, H, g, H_part, g_part):
     """Weighted robust cost of hull surface and outlines at a state; fills H (D, D) and g (D,).
 
     body : (chain, moves, cones).  surface, outlines : the arguments of their kernels after these.  weights : of the
-    two; a weight of 0 leaves one out.  H_part, g_part : scratch.
+    two; a weight of 0 leaves one out.  usual : (D,) weight of each column's pull to 0.  H_part, g_part : scratch.
     """
     chain, moves, cones = body
     cost = 0.0
@@ -43,6 +43,10 @@ def fit_equations(state, body, surface, outlines, weights, H, g, H_part, g_part)
             g[a] += weights[1] * g_part[a]
             for b in range(g.shape[0]):
                 H[a, b] += weights[1] * H_part[a, b]
+    for a in range(g.shape[0]):
+        cost += 0.5 * usual[a] * state[a] * state[a]
+        H[a, a] += usual[a]
+        g[a] += usual[a] * state[a]
     return cost
 
 
@@ -103,7 +107,7 @@ def add_prior(x, start, prior, is_circular, H, g):
 
 @njit(cache=True, nogil=True)
 def descend(
-    states, body, surface, outlines, weights, lower, upper, is_circular, prior, n_iterations, tolerance
+    states, body, surface, outlines, weights, usual, lower, upper, is_circular, prior, n_iterations, tolerance
 ):
     """Move each of the states (K, D), in place, to a nearby minimum of the weighted cost plus the prior at its start.
 
@@ -119,7 +123,7 @@ def descend(
         for a in range(D):
             start[a] = min(max(states[k, a], lower[a]), upper[a])
             x[a] = start[a]
-        cost = fit_equations(x, body, surface, outlines, weights, H, g, H_part, g_part)
+        cost = fit_equations(x, body, surface, outlines, weights, usual, H, g, H_part, g_part)
         cost += add_prior(x, start, prior, is_circular, H, g)
         damping = _DAMPING_START
         for _ in range(n_iterations):
@@ -131,7 +135,7 @@ def descend(
                 for a in range(D):
                     candidate[a] = min(max(x[a] + step[a], lower[a]), upper[a])
                 new_cost = fit_equations(
-                    candidate, body, surface, outlines, weights, new_H, new_g, H_part, g_part
+                    candidate, body, surface, outlines, weights, usual, new_H, new_g, H_part, g_part
                 )
                 new_cost += add_prior(candidate, start, prior, is_circular, new_H, new_g)
             if new_cost < cost:

@@ -21,13 +21,15 @@ Array = NDArray[np.float64]
 class BodyFit:
     """The weighted sum of the residuals of hull surface and outlines: a residual problem with a fast descent.
 
-    outlines : None without masks.
+    outlines : None without masks.  usual_weight : m^2 per hull point and nat, the weight of what angles are usual
+    (`DofSpec.usual_std`); 0 = any angle is as good.
     """
 
     surface: SurfaceProblem
     outlines: OutlineProblem | None
     surface_weight: float = 1.0
     outline_weight: float = 1.0
+    usual_weight: float = 0.0
 
     @property
     def layout(self) -> StateLayout:
@@ -81,4 +83,5 @@ class BodyFit:
                 self.surface_weight if surface.n_points else 0.0,
                 self.outline_weight if has_outlines else 0.0,
             ),
+            self.usual_weight * surface.n_points / surface.body.usual_std**2,
         )

@@ -63,8 +63,8 @@ class VoxelProblem:
 
     def limb_log_likelihood(self, held: Array, limb: Sequence[int]) -> Callable[[Array], Array]:
         """Log-likelihood (N,) of a limb's parts for particles (N, D) that differ in them from the state held (D,):
-        the sum of `log_likelihood` with the other parts given, at the limb's price."""
-        if self.settings.kind == "fast" or not self.settings.factorised or len(limb) > MAX_LIMB_PARTS:
+        the sum of `log_likelihood` with the other parts given, at the limb's price. Always exact: a limb is cheap."""
+        if not self.settings.factorised or len(limb) > MAX_LIMB_PARTS:
             rest = [p for p in range(self.layout.n_parts) if p not in limb]
             return lambda particles: self.log_likelihood(particles, limb, rest).sum(axis=1)
         fixed = held_body(self.body, self.table, self.volume, held, limb)

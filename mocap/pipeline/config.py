@@ -83,7 +83,7 @@ class BodyConfig(_Section):
     """The body model."""
 
     model: str = "anthropometric"
-    """A preset (`anthropometric`, `thesis`) or a body file."""
+    """A preset (`anthropometric`, `girdle`, `thesis`) or a body file."""
     height_m: float | None = Field(default=None, gt=0.3, lt=2.6)
     """Standing height; the body file's value, the session's or the volume decides when absent."""
     sizing: Literal["head", "poses"] = "head"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from mocap.filters import ApfSettings, ParticleState, apf_step, initial_particle
 from mocap.likelihood import Appearance
 from mocap.pipeline.limbs import first_parts, recover_limbs
 from mocap.pipeline.pose_problem import FrameProblem, PoseTools, PreparedHull
+from mocap.threads import in_parallel
 
 Array = NDArray[np.float64]
 
@@ -83,6 +84,24 @@ class PoseSearch:
         value = float(self.judge([state])[0])
         return FirstPose(found.frame, state, found.label, value) if value > found.log_likelihood else found
 
+    def attempts(
+        self,
+        starts: Sequence[tuple[ParticleState, str]],
+        settings: ApfSettings,
+        *,
+        is_brief: bool,
+        rng: np.random.Generator,
+    ) -> list[FirstPose]:
+        """Several attempts, each with random numbers of its own, on the threads there are."""
+        alone = replace(self, tools=replace(self.tools, n_threads=1))
+        jobs = list(zip(starts, rng.spawn(len(starts)), strict=True))
+
+        def follow(job: tuple[tuple[ParticleState, str], np.random.Generator]) -> FirstPose:
+            (start, label), own = job
+            return alone.attempt(start, label, settings, is_brief=is_brief, rng=own)
+
+        return in_parallel(follow, jobs, self.tools.n_threads)
+
     def attempt(
         self,
         start: ParticleState,
@@ -117,10 +136,9 @@ def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[Fir
     copies = copies.reshape(len(candidates), _SEARCH_COPIES, -1)
     equal = np.full(_SEARCH_COPIES, 1.0 / _SEARCH_COPIES)
     brief = ApfSettings(n_layers=4, n_particles=80, std=search.std, alpha=0.5)
-    tried = [
-        search.attempt(ParticleState(copies[k], equal), labels[k], brief, is_brief=True, rng=rng)
-        for k in np.argsort(-value.max(axis=1), kind="stable")[: 4 * search.tools.pose.n_first_poses]
-    ]
+    promising = np.argsort(-value.max(axis=1), kind="stable")[: 4 * search.tools.pose.n_first_poses]
+    starts = [(ParticleState(copies[k], equal), labels[k]) for k in promising.tolist()]
+    tried = search.attempts(starts, brief, is_brief=True, rng=rng)
     return sorted(tried, key=lambda found: -found.log_likelihood)
 
 
@@ -136,10 +154,8 @@ def settle_first_poses(
         chosen += [f for f in behind[:3] if f not in chosen]
     thorough = ApfSettings(n_layers=8, n_particles=200, std=search.std, alpha=0.6)
     problem = search.problem.search
-    found = [
-        search.attempt(initial_particles(problem, f.state, 2), f.label, thorough, is_brief=False, rng=rng)
-        for f in chosen
-    ]
+    starts = [(initial_particles(problem, f.state, 2), f.label) for f in chosen]
+    found = search.attempts(starts, thorough, is_brief=False, rng=rng)
     found.sort(key=lambda f: -f.log_likelihood)
     if yaw is not None:
         ahead = [f for f in found if np.cos(f.state[yaw] - found[0].state[yaw]) >= 0]

@@ -208,15 +208,18 @@ def filter_frames(
                 carried = previous.copy()
                 carried[:3] += shift
                 starts.append(carried)
-            estimate = frame.best([estimate, *frame.all_refined(starts)])
-        value = float(frame.evidence([estimate])[0])
-        if tools.pose.scouts:
-            before = value
-            per_part = frame.voxels.log_likelihood(estimate[None])[0]
-            look_at = lookout.due(before, limb_misfits(tools.body.layout, per_part))
-            estimate = recover_limbs(frame, estimate, previous, look_at=look_at, max_limbs=2, rng=rng)
+            candidates = [estimate, *frame.all_refined(starts)]
+            values = frame.evidence(candidates)
+            estimate, value = candidates[int(values.argmax())], float(values.max())
+        else:
             value = float(frame.evidence([estimate])[0])
-            lookout.note(value - before, look_at)
+        if tools.pose.scouts:
+            per_part = frame.voxels.log_likelihood(estimate[None])[0]
+            look_at = lookout.due(value, limb_misfits(tools.body.layout, per_part))
+            found = recover_limbs(frame, estimate, previous, look_at=look_at, max_limbs=2, rng=rng)
+            found_value = value if found is estimate else float(frame.evidence([found])[0])
+            lookout.note(found_value - value, look_at)
+            estimate, value = found, found_value
         if tools.pose.scouts and (has_returned or rescue.is_due(i, value)):
             velocity = walking_velocity(frames, xyz, i, tools.fps)
             search = PoseSearch(

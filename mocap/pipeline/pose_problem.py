@@ -157,7 +157,8 @@ class FrameProblem:
         pose = self.tools.pose
         n_outline = self.outlines.n_points if self.outlines is not None else 0
         share = self.surface.n_points / n_outline if n_outline else 0.0
-        return BodyFit(self.surface, self.outlines, pose.surface_weight, pose.outline_weight * share)
+        weights = pose.surface_weight, pose.outline_weight * share
+        return BodyFit(self.surface, self.outlines, *weights, 1.0 / NATS_PER_M2)
 
     @cached_property
     def coarse(self) -> FrameProblem:

@@ -76,13 +76,12 @@ def rescue_pose(search: PoseSearch, state: Array, good: Array | None, *, rng: np
     problem = search.problem.search
     brief = ApfSettings(n_layers=4, n_particles=80, std=0.5 * search.std, alpha=0.5)
     thorough = ApfSettings(n_layers=6, n_particles=200, std=0.5 * search.std, alpha=0.6)
-    tried = [
-        search.attempt(initial_particles(problem, s, 2), "", brief, is_brief=True, rng=rng) for s in states
-    ]
+    tried = search.attempts(
+        [(initial_particles(problem, s, 2), "") for s in states], brief, is_brief=True, rng=rng
+    )
     tried.sort(key=lambda found: -found.log_likelihood)
-    settled = [
-        search.attempt(initial_particles(problem, f.state, 2), "", thorough, is_brief=False, rng=rng)
-        for f in tried[:2]
-    ]
+    settled = search.attempts(
+        [(initial_particles(problem, f.state, 2), "") for f in tried[:2]], thorough, is_brief=False, rng=rng
+    )
     best = max(settled, key=lambda found: found.log_likelihood)
     return search.with_limbs_recovered(best, rng=rng).state

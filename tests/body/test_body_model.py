@@ -13,7 +13,7 @@ from mocap.data import BONES, LANDMARKS
 from mocap.errors import MocapError
 
 PI = np.pi
-PRESETS = ("anthropometric", "thesis")
+PRESETS = ("anthropometric", "girdle", "thesis")
 
 # CF Table 6.1 in the frame of reading guide 8: x forward, y left, z up.
 TABLE_6_1_LIMITS = {
@@ -68,13 +68,15 @@ def test_presets_are_listed() -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_joint_limits_are_table_6_1(name: str) -> None:
-    """The default body gives both shoulder twists the union of the printed ranges (they cannot both be right)."""
+    """Our bodies give both shoulder twists the union of the printed ranges (they cannot both be right); one has a
+    shoulder girdle besides."""
     layout = body(name).layout
-    assert layout.n_columns == 27
-    assert set(layout.names[6:]) == set(TABLE_6_1_LIMITS)
+    assert layout.n_columns == (31 if name == "girdle" else 27)
+    girdle = {f"{side}_clavicle_{axis}" for side in ("left", "right") for axis in "xz"}
+    assert set(layout.names[6:]) == set(TABLE_6_1_LIMITS) | (girdle if name == "girdle" else set())
     for column, (low, high) in TABLE_6_1_LIMITS.items():
         i = layout.names.index(column)
-        if name == "anthropometric" and column.endswith("shoulder_y"):
+        if name != "thesis" and column.endswith("shoulder_y"):
             low, high = -0.75 * np.pi, 0.75 * np.pi
         assert layout.lower[i] == pytest.approx(low, abs=1e-12), column
         assert layout.upper[i] == pytest.approx(high, abs=1e-12), column
@@ -143,7 +145,7 @@ def test_left_is_the_mirror_image_of_right(name: str) -> None:
     assert {tuple(0.0 if x == 0 else x for x in c) for c in cones} == {
         tuple(0.0 if x == 0 else x for x in c) for c in mirrored
     }
-    points = landmarks_of(b, np.zeros((1, 27)))[0]
+    points = landmarks_of(b, np.zeros((1, b.layout.n_columns)))[0]
     for name_, p in zip(LANDMARKS, points, strict=True):
         np.testing.assert_allclose(points[LANDMARKS.index(other(name_))], p * mirror, atol=1e-12)
 
@@ -157,7 +159,7 @@ def test_every_length_is_proportional_to_the_height(name: str) -> None:
         (small.cones.end, tall.cones.end),
     ):
         np.testing.assert_allclose(a / 1.5, b / 2.0, atol=1e-12)
-    state = np.zeros((1, 27))
+    state = np.zeros((1, small.layout.n_columns))
     np.testing.assert_allclose(landmarks_of(small, state) / 1.5, landmarks_of(tall, state) / 2.0, atol=1e-12)
 
 
@@ -244,7 +246,7 @@ def test_too_many_parts(tmp_path: Path) -> None:
 
 
 def test_missing_and_binary_files(tmp_path: Path) -> None:
-    with pytest.raises(MocapError, match="presets anthropometric, thesis"):
+    with pytest.raises(MocapError, match="presets anthropometric, girdle, thesis"):
         load_body_model(tmp_path / "none.toml")
     with pytest.raises(MocapError, match="cannot read"):
         load_body_model(tmp_path)

@@ -112,7 +112,7 @@ def test_exclusive_flesh_shares_no_point_at_rest() -> None:
 
     def shared(body: Body) -> int:
         table = build_look_up_table(body, 0.02)
-        R, t = joint_transforms(body, np.zeros((1, 27)))
+        R, t = joint_transforms(body, np.zeros((1, body.layout.n_columns)))
         j = np.repeat(table.joint, np.diff(table.start))
         part = np.repeat(table.part, np.diff(table.start))
         world = np.einsum("mrc,mc->mr", R[0, j], table.points.astype(float)) + t[0, j]
@@ -220,7 +220,7 @@ def test_candidates_lie_over_the_hull_and_are_legal(flesh: Flesh) -> None:
     centers = flesh.grid.centers(flesh.hull(truth).voxels)
     yaws = np.array([0.7, 2.0, -1.0])
     states, labels = candidate_states(body, centers, yaws)
-    assert states.shape == (len(labels), 27)
+    assert states.shape == (len(labels), body.layout.n_columns)
     assert len(labels) % 3 == 0
     assert np.all(states >= body.layout.lower)
     assert np.all(states <= body.layout.upper)

@@ -15,7 +15,7 @@ from mocap.body import (
 from mocap.data.hierarchy import depth_hierarchy, levels_on, limbs_on
 from mocap.errors import MocapError
 
-BODIES = ("anthropometric", "thesis")
+BODIES = ("anthropometric", "girdle", "thesis")
 
 
 def test_presets_are_what_is_documented() -> None:
@@ -26,13 +26,14 @@ def test_presets_are_what_is_documented() -> None:
 @pytest.mark.parametrize("body_name", BODIES)
 @pytest.mark.parametrize("name", hierarchy_presets())
 def test_subdivisions_have_the_printed_and_the_complete_numbers(body_name: str, name: str) -> None:
-    """Reading guide 14: 6/16/24 as printed, 6/19/27 with the waist."""
+    """Reading guide 14: 6/16/24 as printed, 6/19/27 with the waist. A shoulder girdle rests."""
     layout = scale_body(load_body_model(body_name), 1.7).layout
     levels = levels_on(load_hierarchy(name), layout)
     assert levels.dimensions == ((6, 10, 8) if name.endswith("printed") else (6, 13, 8))
     assert [len(level.parts) for level in levels.levels] == [1, 10 if "model1" in name else 6, 10]
     left_out = {n for n, has in zip(layout.names, levels.levels[-1].has, strict=True) if not has}
-    assert left_out == ({"waist_x", "waist_y", "waist_z"} if name.endswith("printed") else set())
+    girdle = {n for n in layout.names if "clavicle" in n}
+    assert left_out == girdle | ({"waist_x", "waist_y", "waist_z"} if name.endswith("printed") else set())
     assert not levels.pinned.any(), "limbs of coarse models are straight"
 
 

@@ -4,17 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flesh_voxels import Flesh
+from flesh_voxels import Flesh, make_flesh
 from outline_world import bent, make_rig, outlines_of, problem_of
 
+from mocap.body import neutral_state
 from mocap.filters import RefineSettings, refine
 from mocap.likelihood import BodyFit, SumProblem, SurfaceFitSettings, SurfaceProblem, hull_surface
 from mocap.likelihood import _fit_kernels as kernels
 from mocap.pipeline.pose_problem import pack_volume
 
+USUAL_WEIGHT = 1e-5  # m^2 per hull point and nat
+
 
 @pytest.fixture(scope="module")
 def fit(flesh: Flesh) -> BodyFit:
+    return body_fit(flesh)
+
+
+def body_fit(flesh: Flesh) -> BodyFit:
     """Hull surface and outlines of a bent body; the hull is its own flesh."""
     state = bent(flesh)
     hull = flesh.hull(state)
@@ -47,6 +54,7 @@ def test_the_sum_is_that_of_its_terms(flesh: Flesh, fit: BodyFit) -> None:
 def test_the_descent_is_that_of_its_twin(
     flesh: Flesh, fit: BodyFit, n_threads: int, n_iterations: int
 ) -> None:
+    fit = replace(fit, usual_weight=USUAL_WEIGHT)
     layout = flesh.body.layout
     std = np.where(np.arange(layout.n_columns) < 3, 0.1, 0.5)
     settings = RefineSettings(prior_std=std, n_iterations=n_iterations)
@@ -64,6 +72,23 @@ def test_the_descent_is_that_of_its_twin(
     before = [fit.normal_equations(np.clip(s, layout.lower, layout.upper))[0] for s in starts(flesh)]
     assert np.mean(costs) < np.mean(before)
     assert np.all((found >= layout.lower) & (found <= layout.upper))
+
+
+def test_unusual_angles_cost_half_a_nat_at_their_deviation() -> None:
+    """Closed form: 1/2 (x / std)^2 nats in the columns that have a deviation, with its gradient."""
+    flesh = make_flesh("girdle", 1.75, 0.04)
+    fit = body_fit(flesh)
+    body = flesh.body
+    state = np.where(np.isfinite(body.usual_std), 0.1, neutral_state(body))
+    pulled = replace(fit, usual_weight=USUAL_WEIGHT)
+    a, b = fit.normal_equations(state), pulled.normal_equations(state)
+    weight = USUAL_WEIGHT * fit.surface.n_points
+    is_usual = np.isfinite(body.usual_std)
+    assert {body.layout.names[i] for i in np.flatnonzero(is_usual)} >= {"waist_x", "left_clavicle_z"}
+    share = np.where(is_usual, state / body.usual_std, 0.0)
+    assert b[0] - a[0] == pytest.approx(0.5 * weight * float(share @ share), rel=1e-9)
+    np.testing.assert_allclose(b[1] - a[1], np.diag(weight / body.usual_std**2), atol=1e-9)
+    np.testing.assert_allclose(b[2] - a[2], weight * share / body.usual_std, atol=1e-9)
 
 
 def test_without_outlines_or_hull_the_rest_counts(flesh: Flesh, fit: BodyFit) -> None:
