@@ -59,6 +59,15 @@ class StateLayout:
         return np.flatnonzero(self.part_of_column == part)
 
 
+def limbs_of(layout: StateLayout) -> list[list[int]]:
+    """Limbs as lists of parts: every child of the root part with all that hangs on it."""
+    limb_of: dict[int, int] = {}
+    for part in range(1, layout.n_parts):
+        parent = int(layout.parent_of_part[part])
+        limb_of[part] = part if parent == 0 else limb_of[parent]
+    return [[p for p, limb in limb_of.items() if limb == first] for first in sorted(set(limb_of.values()))]
+
+
 class ArticulatedProblem(Protocol):
     """A state space with a motion model and a likelihood that knows its parts.
 

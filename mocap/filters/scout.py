@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data.problem import ArticulatedProblem, HeldBodyProblem, StateLayout
+from mocap.data.problem import ArticulatedProblem, HeldBodyProblem, StateLayout, limbs_of
 from mocap.filters.annealing import layer_scales, next_beta
 from mocap.filters.resampling import systematic
 from mocap.filters.weights import normalise_log_weights
@@ -46,15 +46,6 @@ class ScoutInfo:
     tried: tuple[str, ...]
     accepted: tuple[str, ...]
     alternatives: Array
-
-
-def limbs_of(layout: StateLayout) -> list[list[int]]:
-    """Limbs as lists of parts: every child of the root part with all that hangs on it."""
-    limb_of: dict[int, int] = {}
-    for part in range(1, layout.n_parts):
-        parent = int(layout.parent_of_part[part])
-        limb_of[part] = part if parent == 0 else limb_of[parent]
-    return [[p for p, limb in limb_of.items() if limb == first] for first in sorted(set(limb_of.values()))]
 
 
 def scout_limbs(

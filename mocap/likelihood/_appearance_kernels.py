@@ -36,10 +36,10 @@ def meet_cone(o, u, start, end, radii, squared):
 def see_cones(origins, first, directions, start, end, radii, depth, miss, cone, at):
     """What every ray meets before its `depth`, or failing that passes more closely than its `miss`.
 
-    origins : (C, 3).  first : (C + 1,), where each camera's rays begin.  directions : (M, 3) unit.  start, end : (K, 3).
-    depth, miss : (M,), inf and the largest distance for rays that have met nothing; become the depth at which the ray
-    enters a cone (inf when it passes by) and by how much it misses it (0 when it enters).  cone, at : (M,), the cone and
-    the place along its axis, 0 to 1; left alone where there is none.
+    origins : (C, 3).  first : (C + 1,), where each camera's rays begin.  directions : (M, 3) unit.  start, end : (K,
+    3).  depth, miss : (M,), inf and the largest distance for rays that have met nothing; become the depth at which the
+    ray enters a cone (inf when it passes by) and by how much it misses it (0 when it enters).  cone, at : (M,), the
+    cone and the place along its axis, 0 to 1; left alone where there is none.
     """
     for k in range(start.shape[0]):
         square_length = 1e-12
@@ -74,24 +74,6 @@ def see_cones(origins, first, directions, start, end, radii, depth, miss, cone, 
                         miss[i] = gap
                         cone[i] = k
                         at[i] = s
-
-
-@njit(cache=True, nogil=True)
-def zones_of_rays(
-    origins, first, directions, start, end, radii, first_zone, n_zones, touch, zone, depth, miss
-):
-    """Zone that every ray (M,) meets first, or passes most closely, at most `touch` away; -1 for none.
-
-    first_zone, n_zones : (K,), along a cone.  depth, miss : (M,), filled; the rest as for `see_cones`.
-    """
-    cone = np.full(directions.shape[0], -1)
-    at = np.zeros(directions.shape[0])
-    depth[:] = np.inf
-    miss[:] = touch
-    see_cones(origins, first, directions, start, end, radii, depth, miss, cone, at)
-    for i in range(directions.shape[0]):
-        k = cone[i]
-        zone[i] = -1 if k < 0 else first_zone[k] + min(int(at[i] * n_zones[k]), n_zones[k] - 1)
 
 
 @njit(cache=True, nogil=True)

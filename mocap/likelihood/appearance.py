@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
 from mocap.body.model import Body
-from mocap.likelihood._appearance_kernels import limb_values, zones_of_rays
+from mocap.data.problem import limbs_of
+from mocap.likelihood._appearance_kernels import limb_values, see_cones
 
 Array = NDArray[np.float64]
 
@@ -149,17 +150,25 @@ class ColourProblem:
         """
         if len(self.rays) == 0:
             return np.zeros(len(states))
-        return np.array([self._values(self.rays, self._seen(self.rays, s)[0]).mean() for s in states])
+        return np.array([self._values(self.rays, self._seen(self.rays, s).zone).mean() for s in states])
 
     def learnt(self, state: Array, trusted: NDArray[np.bool_]) -> Appearance:
-        """The appearance with this frame under a pose (D,) added.  trusted : (P,) parts that are where it says."""
-        zone, _, miss = self._seen(self.rays, state)
-        zones = self.appearance.zones
-        owner = np.zeros(zones.n_zones, dtype=np.bool_)
-        for k, part in enumerate(self.body.cones.part):
-            owner[zones.first[k] : zones.first[k] + zones.n[k]] |= trusted[part]
-        sure = (zone >= 0) & (miss <= 0)
-        sure[sure] = owner[zone[sure]]
+        """The appearance with this frame under a pose (D,) added.  trusted : (P,) parts that are where it says.
+
+        A limb learns from pixels with nothing else of the body behind it: there it is needed to explain the
+        silhouette. One that is wrongly thought to be before the trunk would learn the trunk's colours, and be believed
+        ever after.
+        """
+        first = self._seen(self.rays, state)
+        part_of_cone = self.body.cones.part
+        part = np.where(first.cone >= 0, part_of_cone[first.cone], -1)
+        sure = (part >= 0) & (first.miss <= 0) & trusted[part]
+        for limb in limbs_of(self.body.layout):
+            own = np.flatnonzero(sure & np.isin(part, limb))
+            if len(own):
+                rest = self._seen(self.rays.taken(own), state, ~np.isin(part_of_cone, limb))
+                sure[own] = ~np.isfinite(rest.depth)
+        zone, zones = first.zone, self.appearance.zones
         counts = self.appearance.counts.copy()
         np.add.at(counts, (zone[sure], self.rays.bins[sure]), 1.0)
         return Appearance(zones, counts)
@@ -179,9 +188,9 @@ class ColourProblem:
         body, zones = self.body, self.appearance.zones
         own = np.isin(body.cones.part, limb)
         near = rays.taken(_passing(rays, *self._reach(state, own)))
-        zone, depth, miss = self._seen(near, state, ~own)
-        other = self._values(near, zone)
-        before = self._values(near, self._seen(near, state)[0]).sum()
+        rest = self._seen(near, state, ~own)
+        other = self._values(near, rest.zone)
+        before = self._values(near, self._seen(near, state).zone).sum()
         cones = body.cones.radii[own], zones.first[own], zones.n[own]
 
         def value(particles: Array) -> Array:
@@ -193,8 +202,8 @@ class ColourProblem:
                 near.directions,
                 near.bins,
                 self.appearance.log_ratio,
-                depth,
-                miss,
+                rest.depth,
+                rest.miss,
                 other,
                 starts,
                 ends,
@@ -219,26 +228,26 @@ class ColourProblem:
         found = self.appearance.log_ratio[np.maximum(zone, 0), rays.bins].astype(np.float64)
         return np.where(zone >= 0, found, 0.0)
 
-    def _seen(
-        self, rays: PixelRays, state: Array, which: NDArray[np.bool_] | None = None
-    ) -> tuple[NDArray[np.int64], Array, Array]:
-        """Zone seen in every pixel, its depth and by how much the ray misses it.  which : (K,) cones, None = all."""
-        chosen = np.ones(len(self.body.cones.part), dtype=np.bool_) if which is None else which
+    def _seen(self, rays: PixelRays, state: Array, which: NDArray[np.bool_] | None = None) -> _Seen:
+        """What of a pose (D,) is seen in every pixel.  which : (K,) cones that are there, None = all."""
+        cones, zones, n = self.body.cones, self.appearance.zones, len(rays)
+        chosen = np.arange(len(cones.part)) if which is None else np.flatnonzero(which)
         start, end = cones_of(self.body, state)
-        zones, n = self.appearance.zones, len(rays)
-        zone, depth, miss = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n)
-        zones_of_rays(
-            rays.origins,
-            rays.first,
-            rays.directions,
-            start[chosen],
-            end[chosen],
-            self.body.cones.radii[chosen],
-            zones.first[chosen],
-            zones.n[chosen],
-            _TOUCH_M,
-            zone,
-            depth,
-            miss,
-        )
-        return zone, depth, miss
+        cone, at = np.full(n, -1, dtype=np.int64), np.zeros(n)
+        depth, miss = np.full(n, np.inf), np.full(n, _TOUCH_M)
+        arguments = start[chosen], end[chosen], cones.radii[chosen]
+        see_cones(rays.origins, rays.first, rays.directions, *arguments, depth, miss, cone, at)
+        cone = np.where(cone >= 0, chosen[cone], -1)
+        along = np.minimum((at * zones.n[cone]).astype(np.int64), zones.n[cone] - 1)
+        return _Seen(cone, np.where(cone >= 0, zones.first[cone] + along, -1), depth, miss)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What is seen in pixels: cone and zone (M,), -1 for none; depth, inf where a ray only passes by, and by how much
+    it misses, m."""
+
+    cone: NDArray[np.int64]
+    zone: NDArray[np.int64]
+    depth: Array
+    miss: Array

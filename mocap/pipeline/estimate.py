@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from mocap.body import Body
 from mocap.body.average import mean_state
 from mocap.data import LANDMARKS, StateLayout
+from mocap.data.problem import limbs_of
 from mocap.filters import FilterInfo, ParticleState, RefineSettings, refine
-from mocap.filters.scout import limbs_of
 from mocap.filters.smoother import smooth_points
 from mocap.likelihood import point_jacobian
 

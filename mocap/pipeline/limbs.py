@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
 from mocap.data import StateLayout
+from mocap.data.problem import limbs_of
 from mocap.filters import ScoutSettings, scout_limbs
-from mocap.filters.scout import Bonus, limbs_of
+from mocap.filters.scout import Bonus
 from mocap.likelihood import ColourProblem, SurfaceProblem
 from mocap.pipeline.pose_problem import NATS_PER_M2, FrameProblem, PoseTools
 
@@ -26,7 +27,7 @@ _EVERY_COLOUR = 4  # of the pixels, in the search
 _N_ALTERNATIVES = 6
 _N_ITERATIONS = 6  # of an alternative
 _LONGEST_PAUSE = 8  # frames between searches for all limbs that find nothing
-_TURN_FRAMES = 3  # frames between searches for single limbs
+_TURN_FRAMES = 4  # frames between searches for single limbs
 _LEAST_MISFIT = 0.5
 _LOOK_AGAIN = 10
 _FALLEN_NATS = 6.0

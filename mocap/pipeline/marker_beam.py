@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
+from mocap.data.problem import limbs_of
 from mocap.filters import FILTERS, ParticleState, initial_particles
 from mocap.filters.annealing import annealed, layer_scales, next_beta
 from mocap.filters.resampling import systematic
-from mocap.filters.scout import limbs_of
 from mocap.filters.weights import normalise_log_weights
 from mocap.likelihood import MarkerProblem
 from mocap.pipeline.marker_problem import WIDE, Fit, MarkerTools, ObservationOf

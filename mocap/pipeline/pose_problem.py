@@ -30,6 +30,7 @@ from mocap.likelihood import (
 )
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.posture import Posture, usual_posture
+from mocap.threads import in_parallel
 from mocap.volume import surface_map
 
 Array = NDArray[np.float64]
@@ -174,12 +175,15 @@ class FrameProblem:
     def misfit(self, states: Sequence[Array] | Array) -> Array:
         """What the likelihood does not ask of K states, (K,) nats: the residuals' cost, that of an unusual
         posture, less what the colours say."""
-        cost = np.array([self.fit.normal_equations(s)[0] for s in states])
-        nats = NATS_PER_M2 * cost / max(self.surface.n_points, 1)
+        nats = np.array(in_parallel(self._misfit_of, list(states), self.tools.n_threads))
         if self.tools.pose.posture_nats > 0:
             nats += self.tools.pose.posture_nats * self.posture.departure(np.stack(list(states)))
+        return nats
+
+    def _misfit_of(self, state: Array) -> float:
+        nats = NATS_PER_M2 * self.fit.normal_equations(state)[0] / max(self.surface.n_points, 1)
         if self.colours is not None:
-            nats -= self.tools.pose.colour_weight * self.colours.log_ratio(np.stack(list(states)))
+            nats -= self.tools.pose.colour_weight * float(self.colours.log_ratio(state[None])[0])
         return nats
 
     def evidence(self, states: Sequence[Array] | Array) -> Array:

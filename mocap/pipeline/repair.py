@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, landmarks_of
-from mocap.filters.scout import limbs_of
+from mocap.data.problem import limbs_of
 from mocap.pipeline.pose_problem import FrameProblem
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from flesh_voxels import Flesh, make_flesh
 
 from mocap.body import joint_transforms, landmarks_of, neutral_state
 from mocap.data import VoxelGrid
-from mocap.filters.scout import limbs_of
+from mocap.data.problem import limbs_of
 from mocap.likelihood import (
     PackedVolume,
     PartScores,
