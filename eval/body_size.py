@@ -99,7 +99,13 @@ def measure(name: str, work: Path, seed: int) -> list[dict[str, Any]]:
         for way in WAYS:
             started = time.perf_counter()
             tools = make_tools(
-                grid, session.fps, head.height_m, config.body.model, config.pose, config.likelihood, 1
+                grid,
+                session.fps,
+                head.height_m,
+                config.body_model("voxels"),
+                config.pose,
+                config.likelihood,
+                1,
             )
             height: HeightEstimate = head
             if way == "poses":

@@ -110,7 +110,7 @@ def prepare(work: Path, n_frames: int) -> Clip:
     # A folder per length, so that two evaluations do not share a store.
     home = work / f"start_{n_frames}"
     frames = range(1, n_frames + 1)
-    config = load_config("default", ("output.formats=[]", "observation=voxels"))
+    config = load_config("default", ("output.formats=[]", "observation=voxels", "body.model=anthropometric"))
     result = run_session(folder, home, config=config, until="pose", frames=(0, n_frames + 1), resume=True)
     pose = result.poses[0]
     start = pose.states[0]

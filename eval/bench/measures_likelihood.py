@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from eval.bench.registry import measure
 from mocap.data import VoxelGrid
+from mocap.data.problem import limbs_of
 from mocap.likelihood import SurfaceProblem, VoxelProblem
 
 Array = NDArray[np.float64]
@@ -110,6 +111,18 @@ def likelihood_fast_us() -> float:
     values = [p.log_likelihood(s.particles).sum(axis=1) for p in (s.voxels, fast)]
     assert np.corrcoef(*values)[0, 1] > 0.98
     return _thread_medians([lambda: fast.log_likelihood(s.particles)], 15)[0] / _N_PARTICLES * 1e6
+
+
+@measure("likelihood_limb_us", unit="us", better="lower")
+def likelihood_limb_us() -> float:
+    """One arm's exact log-likelihood while the rest of the body holds still, in a batch of 600."""
+    problem, truth = body_scene().voxels, body_scene().truth
+    limb = limbs_of(problem.layout)[1]
+    columns = np.flatnonzero(np.isin(problem.layout.part_of_column, limb))
+    states = np.tile(truth, (_N_PARTICLES, 1))
+    states[:, columns] += np.random.default_rng(_SEED).normal(0.0, 0.2, (_N_PARTICLES, len(columns)))
+    value = problem.limb_log_likelihood(truth, limb)
+    return _thread_medians([lambda: value(states)], 15)[0] / _N_PARTICLES * 1e6
 
 
 @measure("likelihood_over_numpy", unit="x", better="higher")

@@ -82,8 +82,9 @@ class TrackingConfig(_Section):
 class BodyConfig(_Section):
     """The body model."""
 
-    model: str = "anthropometric"
-    """A preset (`anthropometric`, `girdle`, `thesis`) or a body file."""
+    model: str = "auto"
+    """A preset (`anthropometric`, `girdle`, `thesis`) or a body file; `auto` = `girdle` where poses are refined on
+    volumes, else `anthropometric`."""
     height_m: float | None = Field(default=None, gt=0.3, lt=2.6)
     """Standing height; the body file's value, the session's or the volume decides when absent."""
     sizing: Literal["head", "poses"] = "head"
@@ -239,6 +240,13 @@ class Config(_Section):
     pose: PoseConfig = PoseConfig()
     markers: MarkersConfig = MarkersConfig()
     output: OutputConfig = OutputConfig()
+
+    def body_model(self, observation: Literal["voxels", "markers"]) -> str:
+        """Name or file of the body that poses are found with from voxels or markers."""
+        if self.body.model != "auto":
+            return self.body.model
+        # The collar bones are held by what angles are usual, which only the refinement knows.
+        return "girdle" if observation == "voxels" and self.pose.refine else "anthropometric"
 
 
 def presets() -> tuple[str, ...]:

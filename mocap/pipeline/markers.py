@@ -89,7 +89,7 @@ def prepare_person(
     points_of = points_of_frames(observation_of)
     points = {f: steady_points(points_of, f, frames) for f in looks}
     height = _height(height_m, list(points.values()))
-    body = scale_body(load_body_model(config.body.model), height.height_m)
+    body = scale_body(load_body_model(config.body_model("markers")), height.height_m)
     markers = place_markers(load_marker_set(config.body.marker_set), body)
     is_fitted = config.body.marker_offsets == "fit"
     rounds = _ROUGH_SLACK_M if is_fitted else ()

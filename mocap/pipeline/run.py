@@ -312,7 +312,7 @@ def _check_config(config: Config) -> None:
             f"configuration: pose.filter: there is no filter named {config.pose.filter!r}",
             remedy=f"use one of {', '.join(FILTERS)}",
         )
-    load_body_model(config.body.model)
+    load_body_model(config.body_model("voxels"))
 
 
 def _check_writable(out: Path) -> None:

@@ -60,7 +60,7 @@ def observation_kind(session: Session, config: Config) -> str:
 
 def check_marker_config(config: Config) -> None:
     """The marker set against the body, and the filter against the likelihood, before any work is done."""
-    body = scale_body(load_body_model(config.body.model), 1.0)
+    body = scale_body(load_body_model(config.body_model("markers")), 1.0)
     place_markers(load_marker_set(config.body.marker_set), body)
     if config.pose.filter in PART_BY_PART and not config.markers.factorised:
         raise MocapError(
@@ -223,7 +223,7 @@ def marker_pose_stage(
         session.fps,
         config,
         height_m=config.body.height_m
-        or load_body_model(config.body.model).height_m
+        or load_body_model(config.body_model("markers")).height_m
         or session.person_height_m,
         seed=seed,
         progress=lambda done, total: progress("pose", done, total),

@@ -67,7 +67,7 @@ def estimate_poses(
 ) -> list[PersonPoses]:
     """Poses of every tracked person, one filter each, from the products of the earlier stages in the store."""
     grid = stored_grid(store)
-    sized = load_body_model(config.body.model).height_m
+    sized = load_body_model(config.body_model("voxels")).height_m
     n_total = len(tracks)
     done = 0
     results = []
@@ -87,7 +87,13 @@ def estimate_poses(
             else estimate_height(grid, hull_of, own.frame.tolist())
         )
         tools = make_tools(
-            grid, session.fps, height.height_m, config.body.model, config.pose, config.likelihood, n_threads
+            grid,
+            session.fps,
+            height.height_m,
+            config.body_model("voxels"),
+            config.pose,
+            config.likelihood,
+            n_threads,
         )
         results.append(
             follow_person(
@@ -155,7 +161,7 @@ def store_poses(store: StageStore, key: str, config: Config, results: list[Perso
     """Poses of all persons into the store; `stored_poses` reads them back."""
     attrs = {
         # The file itself: it may be moved or changed before the poses are read.
-        "body_model": body_toml(load_body_model(config.body.model)),
+        "body_model": body_toml(load_body_model(config.body_model("voxels"))),
         "persons": {
             str(r.person): {
                 "height_m": r.height.height_m,
