@@ -1,4 +1,4 @@
-"""The cost of jumps in the search for lost limbs."""
+"""When limbs are searched for, and the cost of their jumps."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from flesh_voxels import Flesh
 from mocap.body import landmarks_of, neutral_state
 from mocap.data import LANDMARKS
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
-from mocap.pipeline.limbs import jump_nats
+from mocap.pipeline.limbs import Lookout, first_parts, jump_nats, limb_misfits
 from mocap.pipeline.pose_problem import PoseTools, make_tools
 
 FPS = 30.0
@@ -56,3 +56,59 @@ def test_without_an_earlier_pose_or_with_no_cost_jumps_are_free(tools: PoseTools
     assert jump_nats(tools, [after], None)[0] == 0.0
     free = replace(tools, pose=tools.pose.model_copy(update={"jump_nats": 0.0}))
     assert jump_nats(free, [after], before)[0] == 0.0
+
+
+FITS = {1: 1.0, 2: 1.0, 4: 1.0}
+
+
+def looks(values: list[float], misfit: dict[int, float] = FITS, gain: float = 0.0) -> list[tuple[int, ...]]:
+    """What is looked at in frames of some evidence, when every search gains so much."""
+    lookout, found = Lookout(), []
+    for value in values:
+        due = lookout.due(value, misfit)
+        lookout.note(gain if due else 0.0, due)
+        found.append(due)
+    return found
+
+
+def test_limbs_that_fit_are_looked_at_in_turn() -> None:
+    seen = [due for due in looks([100.0] * 24) if due]
+    assert all(len(due) == 1 for due in seen)
+    assert {due[0] for due in seen[:3]} == {1, 2, 4}
+    assert len(seen) == 6
+
+
+def test_a_limb_that_fits_badly_is_looked_at_more_often() -> None:
+    seen = [due[0] for due in looks([100.0] * 80, {1: 1.0, 2: 6.0, 4: 1.0}) if due]
+    assert seen.count(2) > seen.count(1) + seen.count(4)
+    assert seen.count(1) > 0
+
+
+def test_all_limbs_are_looked_at_when_the_evidence_falls() -> None:
+    seen = looks([100.0, 100.0, 100.0, 90.0])
+    assert seen[3] == (1, 2, 4)
+    assert all(len(due) < 2 for due in seen[:3])
+
+
+def test_searches_for_all_that_find_nothing_grow_rare() -> None:
+    falling = [100.0 - 40.0 * k for k in range(40)]
+    full = [k for k, due in enumerate(looks(falling)) if len(due) > 1]
+    gaps = np.diff(full)
+    assert gaps[0] < gaps[-1] == 8
+    assert np.all(np.diff(gaps) >= 0)
+    assert sum(len(due) > 1 for due in looks(falling, gain=5.0)) > 2 * len(full)
+
+
+def test_what_was_found_is_looked_at_again_at_once() -> None:
+    seen = looks([100.0] * 6, gain=5.0)
+    assert all(len(due) == 1 for due in seen)
+
+
+def test_a_global_likelihood_has_no_limbs_to_look_at(tools: PoseTools) -> None:
+    layout = tools.body.layout
+    assert limb_misfits(layout, np.array([-3.0])) == {}
+    assert looks([100.0, 50.0], {}) == [(), ()]
+    per_part = -np.arange(layout.n_parts, dtype=np.float64)
+    misfit = limb_misfits(layout, per_part)
+    assert tuple(misfit) == first_parts(layout)
+    assert misfit[2] == 3.0  # of the forearm, the limb's worse half
