@@ -33,6 +33,8 @@ _HOMES = {
     "Carver": "mocap.volume",
     "choose_grid": "mocap.volume",
     "colour_hull": "mocap.volume",
+    "person_rays": "mocap.likelihood",
+    "sample_silhouettes": "mocap.likelihood",
     "connected_components": "mocap.volume",
     "surface_voxels": "mocap.volume",
     "TrackerSettings": "mocap.tracking",

@@ -234,7 +234,7 @@ def marker_pose_stage(
         for frame in session.frames:
             rows = tracks.frame == frame
             out.append(frame, person=tracks.person[rows], xyz=tracks.xyz[rows])
-    store_poses(store, key, config, results)
+    store_poses(store, key, config.body_model("markers"), results)
 
 
 def _track_of(poses: PersonPoses | None, fps: float) -> Tracks:

@@ -51,7 +51,7 @@ def pose_stage(
     results = estimate_poses(
         session, config, store, tracks, seed=seed, n_threads=n_threads, progress=progress
     )
-    store_poses(store, key, config, results)
+    store_poses(store, key, config.body_model("voxels"), results)
     return results
 
 
@@ -157,11 +157,11 @@ def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
     return hull_of
 
 
-def store_poses(store: StageStore, key: str, config: Config, results: list[PersonPoses]) -> None:
-    """Poses of all persons into the store; `stored_poses` reads them back."""
+def store_poses(store: StageStore, key: str, body_model: str, results: list[PersonPoses]) -> None:
+    """Poses of all persons into the store; `stored_poses` reads them back.  body_model : that of all of them."""
     attrs = {
         # The file itself: it may be moved or changed before the poses are read.
-        "body_model": body_toml(load_body_model(config.body_model("voxels"))),
+        "body_model": body_toml(load_body_model(body_model)),
         "persons": {
             str(r.person): {
                 "height_m": r.height.height_m,
