@@ -28,12 +28,14 @@ from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.io.video import FrameReader, iter_clip
+from mocap.likelihood import ColourProblem, new_appearance
 from mocap.metrics import epsilon_lilliefors, point_errors
 from mocap.pipeline.config import load_config
 from mocap.pipeline.outputs import body_parts
 from mocap.pipeline.pose import PersonPoses
 from mocap.pipeline.pose_problem import PersonHull, PoseTools, make_tools
 from mocap.pipeline.stages import hull_from_arrays, masks_from_arrays, stored_grid, stored_poses
+from mocap.pipeline.stages.pose import hulls_of_person
 from mocap.view import (
     contact_sheet,
     crop,
@@ -107,7 +109,7 @@ class Demo:
             self.grid,
             self.session.fps,
             self.poses.body.height_m,
-            config.body.model,
+            config.body_model("voxels"),
             config.pose,
             config.likelihood,
             1,
@@ -215,11 +217,11 @@ def studio() -> Camera:
 
 
 def body() -> Image:
-    """The two bodies at rest, their joints, and a pose."""
+    """The bodies at rest, their joints, and a pose."""
     camera = studio()
     ground = np.full((camera.size[1], camera.size[0], 3), 38, dtype=np.uint8)
     tiles, labels = [], []
-    for name in ("anthropometric", "thesis"):
+    for name in ("girdle", "anthropometric", "thesis"):
         model = scale_body(load_body_model(name), 1.75)
         rest = np.zeros(model.layout.n_columns)
         rest[2] = neutral_state(model)[2]
@@ -227,20 +229,22 @@ def body() -> Image:
         view = draw_axes(view, camera, joint_transforms(model, rest[None]), model.joints)
         tiles.append(view)
         labels.append(f"{name}, rest pose, 1.75 m")
-    model = scale_body(load_body_model("anthropometric"), 1.75)
+    model = scale_body(load_body_model("girdle"), 1.75)
     state = neutral_state(model)
     for column, value in (
         ("right_elbow_z", 1.2),
         ("left_knee_y", 0.9),
         ("left_hip_y", -0.8),
         ("neck_x", 0.25),
+        ("left_shoulder_x", 0.15),
+        ("left_clavicle_x", 0.3),
     ):
         state[model.layout.names.index(column)] = value
     view = draw_body(ground, camera, body_parts(model, state), alpha=0.55)
     tiles.append(draw_skeleton(view, camera, landmarks_of(model, state[None])[0]))
     labels.append("a pose and its landmarks")
     tiles = [crop(tile, (95, 50, 615, 550)) for tile in tiles]
-    return contact_sheet(tiles, labels, n_columns=3, width=1100)
+    return contact_sheet(tiles, labels, n_columns=4, width=1300)
 
 
 def draw_axes(
@@ -259,7 +263,7 @@ def draw_axes(
 
 def likelihood(demo: Demo) -> bytes:
     """A slice of the packed volume with the flesh in it, and the likelihood along two joint angles."""
-    problem, _ = demo.tools.problems(demo.person)
+    problem = demo.tools.frame(demo.person).voxels
     state = demo.poses.states[demo.row]
     layout = demo.tools.body.layout
     figure, axes = new_figure(3, width=10.5, height=4.4)
@@ -312,7 +316,8 @@ def filtering(demo: Demo) -> Image:
     """Particles of the first and the last layer, the filter's estimate and the refined one."""
     camera, image, window = demo.session.rig[CAMERA], demo.images[CAMERA], demo.window(CAMERA)
     tools, body = demo.tools, demo.tools.body
-    problem, surface = tools.problems(demo.person)
+    frame = tools.frame(demo.person)
+    problem, surface = frame.voxels, frame.surface
     start = initial_particles(problem, demo.poses.states[demo.row - 1], 300)
     tiles, labels = [], []
     for n_layers in (1, 4):
@@ -328,6 +333,38 @@ def filtering(demo: Demo) -> Image:
     labels.append("refined on the hull")
     tiles = [crop(tile, window, scale=2.0) for tile in tiles]
     return contact_sheet(tiles, labels, n_columns=4, width=1100)
+
+
+def colours(demo: Demo) -> Image:
+    """What every sampled pixel says of the estimate, and of a pose with one arm stretched forwards."""
+    camera, image, window = demo.session.rig[CAMERA], demo.images[CAMERA], demo.window(CAMERA)
+    hull_of = hulls_of_person(demo.session, demo.store, demo.poses.person)
+    body, appearance = demo.poses.body, new_appearance(demo.poses.body)
+    for frame, state in zip(demo.poses.frames.tolist(), demo.poses.states, strict=True):
+        hull = hull_of(frame)
+        if hull is not None and hull.rays is not None:
+            problem = ColourProblem(body, hull.rays(), appearance)
+            appearance = problem.learnt(state, np.ones(body.layout.n_parts, dtype=np.bool_))
+    hull = hull_of(FRAME)
+    if hull is None or hull.rays is None:
+        raise ValueError("the frame of the pictures shows nobody")
+    rays = hull.rays()
+    problem = ColourProblem(body, rays, appearance)
+    right = demo.poses.states[demo.row]
+    wrong = right.copy()
+    for column, value in (("left_shoulder_x", -1.3), ("left_shoulder_z", -1.4), ("left_elbow_z", -1.9)):
+        wrong[body.layout.names.index(column)] = value
+    own = rays.camera == CAMERA
+    at, _ = camera.project(camera.center + 3.0 * rays.directions[own])
+    tiles, labels = [image], ["picture"]
+    for state, label in ((right, "estimate"), (wrong, "left arm before the chest")):
+        view = draw_skeleton((0.45 * image).astype(np.uint8), camera, landmarks_of(body, state[None])[0])
+        for place, value in zip(np.rint(at).astype(int), problem.pixel_values(state)[own], strict=True):
+            colour = (0, 200, 120) if value > 0.2 else (213, 94, 0) if value < -0.2 else (150, 150, 150)
+            cv2.circle(view, tuple(int(v) for v in place), 1, colour, -1, cv2.LINE_AA)
+        tiles.append(view)
+        labels.append(f"{label}: {float(problem.log_ratio(state[None])[0]):+.2f}")
+    return contact_sheet([crop(t, window, scale=2.0) for t in tiles], labels, n_columns=3, width=1000)
 
 
 def draw_cloud(image: Image, camera: Camera, landmarks: Array) -> Image:
@@ -438,6 +475,7 @@ def main(argv: list[str] | None = None) -> int:
         "body": body,
         "likelihood": lambda: likelihood(demo),
         "filter": lambda: filtering(demo),
+        "colours": lambda: colours(demo),
         "metrics": lambda: metrics(demo),
         "synthetic": lambda: synthetic(demo),
     }

@@ -150,7 +150,11 @@ class ColourProblem:
         """
         if len(self.rays) == 0:
             return np.zeros(len(states))
-        return np.array([self._values(self.rays, self._seen(self.rays, s).zone).mean() for s in states])
+        return np.array([self.pixel_values(state).mean() for state in states])
+
+    def pixel_values(self, state: Array) -> Array:
+        """What every pixel says of a state (D,): its log-ratio, (M,), 0 where no zone is seen."""
+        return self._values(self.rays, self._seen(self.rays, state).zone)
 
     def learnt(self, state: Array, trusted: NDArray[np.bool_]) -> Appearance:
         """The appearance with this frame under a pose (D,) added.  trusted : (P,) parts that are where it says.
