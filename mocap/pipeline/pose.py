@@ -396,8 +396,8 @@ def start_person(
             tried = try_first_poses(search, rng=rng_for(seed, "first-pose", person, frame))
             searches.append((search, tried))
     search, tried = max(searches, key=lambda entry: entry[1][0].log_likelihood)
-    unexplained = search.problem.surface.unexplained_share(tried[0].state, UNEXPLAINED_M)
-    if unexplained > _CROWDED and tools.pose.outline_weight > _GENTLE_OUTLINES:
+    is_crowded = search.problem.surface.unexplained_share(tried[0].state, UNEXPLAINED_M) > _CROWDED
+    if is_crowded and tools.pose.outline_weight > _GENTLE_OUTLINES:
         # The silhouettes hold more than the person, a chair perhaps: their outlines are not all his.
         gentle = {"outline_weight": _GENTLE_OUTLINES}
         tools = replace(tools, pose=tools.pose.model_copy(update=gentle))
@@ -405,7 +405,7 @@ def start_person(
         search = replace(search, tools=searching)
     hypotheses = settle_first_poses(search, tried, rng=rng_for(seed, "settle", person, search.frame))
     best, trial = choose_hypothesis(tools, person, frames, xyz, hull_of, hypotheses, seed=seed)
-    if is_size_fitted:
+    if is_size_fitted and not is_crowded:  # a larger body would explain the chair as well
         tools, height, best = _sized(tools, person, frames, xyz, hull_of, height, best, seed=seed)
     return Start(tools, height, best, trial, len(usable))
 

@@ -8,10 +8,13 @@ from flesh_voxels import make_flesh, rasterise
 from marker_world import marching
 
 from mocap.body import landmarks_of, neutral_state
+from mocap.body.initial import HeightEstimate
 from mocap.body.stretch import lengths_of, resize_body, stretch_body
+from mocap.pipeline import pose
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
-from mocap.pipeline.pose_problem import PoseTools, make_tools
+from mocap.pipeline.pose_problem import PersonHull, PoseTools, make_tools
 from mocap.pipeline.sizing import _lowest, fit_size, resized_tools
+from mocap.volume import surface_voxels
 
 HEIGHT_M = 1.7
 VOXEL_M = 0.03
@@ -111,3 +114,34 @@ def test_only_a_head_that_was_seen_is_a_lower_bound() -> None:
 def test_without_frames_there_is_no_size() -> None:
     with pytest.raises(ValueError, match="frames is empty"):
         fit_size([], [])
+
+
+@pytest.mark.parametrize("with_cupboard", [False, True])
+def test_no_size_is_fitted_to_a_volume_that_holds_more_than_the_person(
+    with_cupboard: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A larger body would explain the furniture as well."""
+    fitted = []
+
+    def sized(t: PoseTools, *arguments: object, **_: object) -> tuple[object, ...]:
+        fitted.append(t)
+        *_, height, first = arguments
+        return t, height, first
+
+    monkeypatch.setattr(pose, "_sized", sized)
+    state = neutral_state(FLESH.body)
+    state[2] += 0.05
+    hull = rasterise(FLESH.body, FLESH.grid, state, margin_m=VOXEL_M)
+    if with_cupboard:
+        low = np.floor((np.array([0.3, -0.8, 0.1]) - FLESH.grid.origin) / VOXEL_M).astype(int)
+        subs = np.stack(np.meshgrid(*(np.arange(a, a + 40) for a in low), indexing="ij"), axis=-1).reshape(
+            -1, 3
+        )
+        voxels = np.union1d(hull.voxels, FLESH.grid.linear(subs)).astype(np.int32)
+        hull = PersonHull(voxels, surface_voxels(voxels, FLESH.grid))
+    quick = PoseConfig(n_start_frames=1, n_first_poses=1, n_layers=2, n_particles=40, scouts=False)
+    t = make_tools(FLESH.grid, 12.5, HEIGHT_M, "anthropometric", quick, LikelihoodConfig(), 1)
+    frames, xyz = np.arange(2), np.tile(state[:3], (2, 1))
+    height = HeightEstimate(HEIGHT_M, is_measured=True)
+    pose.start_person(1, frames, xyz, lambda _: hull, t, height, seed=0, is_size_fitted=True)
+    assert bool(fitted) is not with_cupboard
