@@ -177,15 +177,12 @@ class ColourProblem:
         np.add.at(counts, (zone[sure], self.rays.bins[sure]), 1.0)
         return Appearance(zones, counts)
 
-    def limb_log_ratio(self, state: Array, particles: Array, limb: Sequence[int], every: int = 1) -> Array:
-        """`log_ratio` of particles (N, D) that differ from a state (D,) in one limb's columns only, less the state's.
+    def limb_log_ratio(self, state: Array, limb: Sequence[int], every: int = 1) -> Callable[[Array], Array]:
+        """A function of particles (N, D) that differ from a state (D,) in one limb's columns only: (N,), their
+        `log_ratio` less the state's.
 
         limb : its parts.  every : only every so many of the pixels, for a search.
         """
-        return self.limb(state, limb, every)(particles)
-
-    def limb(self, state: Array, limb: Sequence[int], every: int = 1) -> Callable[[Array], Array]:
-        """`limb_log_ratio` as a function of the particles, for many calls."""
         rays = self.rays.every(every)
         if len(rays) == 0:
             return lambda particles: np.zeros(len(particles))

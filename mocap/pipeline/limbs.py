@@ -170,7 +170,7 @@ class _ColourNats:
 
     def __call__(self, particles: Array, limb: list[int]) -> Array:
         if limb[0] not in self._of_limb:
-            self._of_limb[limb[0]] = self.colours.limb(self.state, limb, every=_EVERY_COLOUR)
+            self._of_limb[limb[0]] = self.colours.limb_log_ratio(self.state, limb, _EVERY_COLOUR)
         return self.weight * self._of_limb[limb[0]](particles)
 
 

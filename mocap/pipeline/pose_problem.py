@@ -190,10 +190,6 @@ class FrameProblem:
         """How well K states explain the frame, (K,), nats."""
         return self.log_likelihood(states) - self.misfit(states)
 
-    def best(self, states: Sequence[Array]) -> Array:
-        """The state of highest evidence."""
-        return states[int(self.evidence(states).argmax())]
-
     def refined(self, state: Array, n_iterations: int = 12) -> Array:
         """A state (D,) moved to a nearby minimum of the residuals."""
         return self.all_refined([state], n_iterations)[0]

@@ -180,7 +180,7 @@ def test_limb_by_limb_is_the_same_as_the_whole(coarse_flesh: Flesh, standing: np
     rng = np.random.default_rng(1)
     particles[:, columns] = rng.uniform(layout.lower[columns], layout.upper[columns], (37, len(columns)))
     expected = colours.log_ratio(particles) - colours.log_ratio(standing[None])
-    np.testing.assert_allclose(colours.limb_log_ratio(standing, particles, limb), expected, atol=1e-5)
+    np.testing.assert_allclose(colours.limb_log_ratio(standing, limb)(particles), expected, atol=1e-5)
 
 
 def test_kernels_agree_with_their_python(
@@ -194,14 +194,14 @@ def test_kernels_agree_with_their_python(
         coarse_flesh.body.layout.parts.index("right_upper_arm"),
         coarse_flesh.body.layout.parts.index("right_forearm"),
     ]
-    compiled = colours.log_ratio(particles), colours.limb_log_ratio(standing, particles, limb)
+    compiled = colours.log_ratio(particles), colours.limb_log_ratio(standing, limb)(particles)
     module = "mocap.likelihood.appearance."
     plain = kernels.see_cones.py_func
     monkeypatch.setattr(kernels, "see_cones", plain)
     monkeypatch.setattr(kernels, "meet_cone", kernels.meet_cone.py_func)
     monkeypatch.setattr(module + "see_cones", plain)
     monkeypatch.setattr(module + "limb_values", kernels.limb_values.py_func)
-    slow = colours.log_ratio(particles), colours.limb_log_ratio(standing, particles, limb)
+    slow = colours.log_ratio(particles), colours.limb_log_ratio(standing, limb)(particles)
     for a, b in zip(compiled, slow, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
@@ -248,5 +248,5 @@ def test_no_visible_pixel_says_nothing(coarse_flesh: Flesh, standing: np.ndarray
     )
     empty = ColourProblem(coarse_flesh.body, none, new_appearance(coarse_flesh.body))
     assert empty.log_ratio(standing[None]).tolist() == [0.0]
-    assert empty.limb_log_ratio(standing, standing[None], [1]).tolist() == [0.0]
+    assert empty.limb_log_ratio(standing, [1])(standing[None]).tolist() == [0.0]
     assert empty.learnt(standing, all_parts(coarse_flesh)).counts.sum() == 0
