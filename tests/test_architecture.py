@@ -160,6 +160,15 @@ def mocap_files() -> list[Path]:
     return sorted((ROOT / "mocap").rglob("*.py"))
 
 
+LEFTOVERS = ("*.orig", "*.rej", "*.bak", "*~", "*.partial")
+
+
+def test_no_merge_left_anything_behind() -> None:
+    folders = [ROOT / name for name in ("mocap", "data_synth", "eval", "configs", "tests", "docs")]
+    found = [p for folder in folders for pattern in LEFTOVERS for p in folder.rglob(pattern)]
+    assert not found, f"left behind by a merge or an editor: {found}"
+
+
 def test_there_is_something_to_read() -> None:
     names = {p.relative_to(ROOT).as_posix() for p in mocap_files()}
     assert {"mocap/data/camera.py", "mocap/likelihood/_kernels.py", "mocap/pipeline/config.py"} <= names
