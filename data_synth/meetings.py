@@ -1,6 +1,6 @@
 """Meeting-room scenes drawn from a seed: people enter, cross, meet, sit and leave.
 
-The scene files of the project were made with `python -m data_synth.meetings configs/scenes`; they are plain TOML
+The scene files of the project were made with `python -m data_synth.meetings data_synth/scenes/meetings`; they are plain TOML
 with explicit way-points.
 """
 

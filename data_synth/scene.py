@@ -20,7 +20,8 @@ from data_synth.rigs import RigConfig, RingRig
 from data_synth.section import Section as _Section
 from mocap.errors import MocapError
 
-SCENES_DIR = Path(__file__).resolve().parent.parent / "configs" / "scenes"
+SCENES_DIR = Path(__file__).resolve().parent / "scenes"
+"""Scene files, in folders by purpose; a name is unique over all of them."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -97,7 +98,11 @@ _TAGS = {*MOTION_KINDS, *_FAULT_KINDS, *_RIG_KINDS, *_FURNITURE_KINDS}
 
 def list_scenes() -> list[str]:
     """Names of the scenes that come with the project, sorted."""
-    return sorted(p.stem for p in SCENES_DIR.glob("*.toml"))
+    return sorted(_scene_files())
+
+
+def _scene_files() -> dict[str, Path]:
+    return {path.stem: path for path in SCENES_DIR.glob("*/*.toml")}
 
 
 def load_scene(name_or_path: str | Path) -> Scene:
@@ -108,12 +113,13 @@ def load_scene(name_or_path: str | Path) -> Scene:
     text = str(name_or_path)
     path = Path(text)
     if path.suffix != ".toml":
-        path = SCENES_DIR / f"{text}.toml"
-        if not path.is_file():
+        known = _scene_files()
+        if text not in known:
             raise MocapError(
                 f"there is no scene named {text!r}",
-                remedy=f"take one of {', '.join(list_scenes())}, or give a .toml file",
+                remedy=f"take one of {', '.join(sorted(known))}, or give a .toml file",
             )
+        path = known[text]
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -118,7 +118,7 @@ def preset_text() -> str:
     """What each preset changes, and its comment."""
     lines = ["## Presets", "", "| preset | what it changes | why |", "|---|---|---|"]
     for name in presets():
-        text = (resources.files("configs") / f"{name}.toml").read_text("utf-8")
+        text = (resources.files("mocap") / "presets" / f"{name}.toml").read_text("utf-8")
         comment = " ".join(line.lstrip("# ") for line in text.splitlines() if line.startswith("#"))
         changes = [
             f"`{path} = {str(value).lower() if isinstance(value, bool) else value}`"

@@ -34,7 +34,6 @@ ARROWS: dict[str, frozenset[str]] = {
 ONLY_IN: dict[str, frozenset[str]] = {
     "data_synth": frozenset({"cli"}),
     "eval": frozenset(),
-    "configs": frozenset({"pipeline"}),
     "tests": frozenset(),
     "pickle": frozenset(),
     "shelve": frozenset(),
@@ -164,7 +163,7 @@ LEFTOVERS = ("*.orig", "*.rej", "*.bak", "*~", "*.partial")
 
 
 def test_no_merge_left_anything_behind() -> None:
-    folders = [ROOT / name for name in ("mocap", "data_synth", "eval", "configs", "tests", "docs")]
+    folders = [ROOT / name for name in ("mocap", "data_synth", "eval", "tests", "docs")]
     found = [p for folder in folders for pattern in LEFTOVERS for p in folder.rglob(pattern)]
     assert not found, f"left behind by a merge or an editor: {found}"
 

@@ -249,10 +249,12 @@ class Config(_Section):
         return "girdle" if observation == "voxels" and self.pose.refine else "anthropometric"
 
 
+_PRESETS = resources.files("mocap") / "presets"
+
+
 def presets() -> tuple[str, ...]:
     """Names of the presets that come with the package."""
-    folder = resources.files("configs")
-    return tuple(sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")))
+    return tuple(sorted(p.name.removesuffix(".toml") for p in _PRESETS.iterdir() if p.name.endswith(".toml")))
 
 
 def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Config:
@@ -261,7 +263,7 @@ def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Conf
     Raises MocapError naming the dotted path of an unknown key or a bad value, and the allowed keys.
     """
     if preset in presets():
-        text = (resources.files("configs") / f"{preset}.toml").read_text("utf-8")
+        text = (_PRESETS / f"{preset}.toml").read_text("utf-8")
         path = Path(f"{preset}.toml")
     else:
         path = Path(preset)

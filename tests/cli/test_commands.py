@@ -104,7 +104,7 @@ def test_list_scenes_prints_one_name_per_line() -> None:
     names = said.out.splitlines()
     assert said.code == 0
     assert {"demo", "walk"} <= set(names)
-    assert names == sorted(p.stem for p in (ROOT / "configs" / "scenes").glob("*.toml"))
+    assert names == sorted(p.stem for p in (ROOT / "data_synth" / "scenes").rglob("*.toml"))
 
 
 def test_run_says_what_it_found(session: Path, tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_presets_are_valid_and_have_a_configuration_file() -> None:
     assert {"default", "realtime", "reference"} <= set(presets())
     for preset in presets():
         load_config(preset)
-        tomllib.loads((ROOT / "configs" / f"{preset}.toml").read_text())
+        tomllib.loads((ROOT / "mocap" / "presets" / f"{preset}.toml").read_text())
 
 
 def readme_example() -> str:
