@@ -64,5 +64,5 @@ bench: $(STAMP)
 
 clean:
 	@rm -rf out .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	@find mocap data_synth eval tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	@find mocap eval tests -name __pycache__ -type d -prune -exec rm -rf {} +
 	@echo "Removed caches and out/. To remove the environment too: rm -rf $(VENV)"

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth import load_scene
-from data_synth.render import CameraView
-from data_synth.session import World, build_world
 from mocap.data import Camera
+from mocap.synth import load_scene
+from mocap.synth.render import CameraView
+from mocap.synth.session import World, build_world
 
 Image = NDArray[np.uint8]
 

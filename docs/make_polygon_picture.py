@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.polygons import (
+from mocap.filters import FILTERS, initial_particles, settings_for
+from mocap.likelihood import random_walk_std
+from mocap.synth.polygons import (
     SMALL,
     PolygonScene,
     PolygonSceneSettings,
     draw_outline,
     make_polygon_scene,
 )
-from mocap.filters import FILTERS, initial_particles, settings_for
-from mocap.likelihood import random_walk_std
 
 OUT = Path(__file__).with_name("pictures") / "polygons.png"
 TILE = (260, 208)

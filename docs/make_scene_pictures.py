@@ -16,12 +16,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth import load_scene
-from data_synth.markers import Sight, simulate_detector
-from data_synth.preview import render_moments
-from data_synth.render import CameraView
-from data_synth.session import build_world
-from data_synth.views import Witness
+from mocap.synth import load_scene
+from mocap.synth.markers import Sight, simulate_detector
+from mocap.synth.preview import render_moments
+from mocap.synth.render import CameraView
+from mocap.synth.session import build_world
+from mocap.synth.views import Witness
 
 Image = NDArray[np.uint8]
 

@@ -137,7 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in options.scenes or (TEST if options.test else DEVELOPMENT):
         root = options.work / name
         if not (root / "truth" / "truth.json").exists():
-            from data_synth import synthesise
+            from mocap.synth import synthesise
 
             synthesise(name, root)
         rows += evaluate(root, options.masks)

@@ -86,7 +86,6 @@ class Clip:
 
 def prepare(work: Path, n_frames: int) -> Clip:
     """Synthesise the scene with true masks, carve and track it, and find the pose before the first frame."""
-    from data_synth import load_scene, synthesise
     from mocap.body.markers import load_marker_set, place_markers
     from mocap.io.session import open_session
     from mocap.io.store import StageStore
@@ -102,6 +101,7 @@ def prepare(work: Path, n_frames: int) -> Clip:
     from mocap.pipeline.pose_problem import PersonHull, make_tools, pack_volume
     from mocap.pipeline.run import run_session
     from mocap.pipeline.stages.carve import stored_grid
+    from mocap.synth import load_scene, synthesise
     from mocap.volume import surface_voxels
 
     folder = work / f"{SCENE}_masks"

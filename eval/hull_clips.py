@@ -59,7 +59,6 @@ def load_clip(
     masks : "video" = segmented from the pictures, "true" = the exact silhouettes.  settings : of the default preset.
     session_of : makes another session from the folder of this one.
     """
-    from data_synth import synthesise
     from mocap.body import build_look_up_table, load_body_model, scale_body
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
@@ -67,6 +66,7 @@ def load_clip(
     from mocap.pipeline.pose_problem import PersonHull, pack_volume
     from mocap.pipeline.run import run_session
     from mocap.pipeline.stages import stored_grid
+    from mocap.synth import synthesise
     from mocap.volume import surface_voxels
 
     folder = work / "sessions" / scene

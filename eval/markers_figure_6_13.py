@@ -109,7 +109,11 @@ def own_code() -> str:
     """Hash of all code that a cell runs: the package, the scenes and these scripts."""
     digest = hashlib.sha256(code_hash().encode())
     here = Path(__file__).resolve()
-    for path in [*sorted((ROOT / "data_synth").rglob("*.py")), here.with_name("markers_table_6_3.py"), here]:
+    for path in [
+        *sorted((ROOT / "mocap" / "synth").rglob("*.py")),
+        here.with_name("markers_table_6_3.py"),
+        here,
+    ]:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

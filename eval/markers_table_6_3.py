@@ -73,7 +73,7 @@ _WEIGHT = {"printed": 0.0, "both": 0.5, "reprojection": 1.0}
 @dataclass(frozen=True, eq=False)
 class Clip:
     """An action, seen by its cameras.  landmarks : (T, 15, 3) m.  uv, visible, box : per camera, as
-    `data_synth.markers.simulate_detector` takes them."""
+    `mocap.synth.markers.simulate_detector` takes them."""
 
     action: str
     fps: float
@@ -90,11 +90,11 @@ class Clip:
 
 def make_clip(action: str, n_frames: int | None) -> Clip:
     """The markers of a scene's person in every picture, what hides them, and the truth; nothing is rendered."""
-    from data_synth.markers import Sight
-    from data_synth.render import CameraView
-    from data_synth.scene import load_scene
-    from data_synth.session import build_world
-    from data_synth.views import Witness
+    from mocap.synth.markers import Sight
+    from mocap.synth.render import CameraView
+    from mocap.synth.scene import load_scene
+    from mocap.synth.session import build_world
+    from mocap.synth.views import Witness
 
     scene = load_scene(action)
     document = {**scene.model_dump(), "markers": {}}
@@ -119,7 +119,7 @@ def make_clip(action: str, n_frames: int | None) -> Clip:
 
 def observations(clip: Clip, detector: Detector, seed: int) -> list[MarkerObservation]:
     """Every frame of a clip through a detector."""
-    from data_synth.markers import simulate_detector
+    from mocap.synth.markers import simulate_detector
 
     rng = np.random.default_rng([_SEED, seed])
     found = [

@@ -51,7 +51,7 @@ def prepare(name: str, work: Path, *, trust_store: bool) -> tuple[Path, Path]:
     if name.startswith("dev:"):
         folder = DEV / name.removeprefix("dev:")
     else:
-        from data_synth import synthesise
+        from mocap.synth import synthesise
 
         folder = work / "sessions" / name
         if not folder.exists():

@@ -82,7 +82,7 @@ def measure(name: str, folder: Path | None, preset: str, seed: int, work: Path) 
     from mocap.pipeline.run import peak_memory_mb, run_session
 
     if folder is None:
-        from data_synth import synthesise
+        from mocap.synth import synthesise
 
         folder = work / "sessions" / name
         if not folder.exists():

@@ -21,7 +21,7 @@ DEFAULT_FOLDER = Path("out/same_bytes")
 
 @dataclass(frozen=True)
 class Case:
-    """One run.  scene : a scene of data_synth, cut to n_frames.  settings : `section.key=value`."""
+    """One run.  scene : a scene of mocap.synth, cut to n_frames.  settings : `section.key=value`."""
 
     name: str
     scene: str
@@ -42,9 +42,9 @@ CASES = (
 
 def digests(case: Case, folder: Path) -> dict[str, str]:
     """File -> SHA-256 of what a case writes.  folder : keeps the sessions from one call to the next."""
-    from data_synth import synthesise
-    from data_synth.scene import load_scene
     from mocap import load_config, run_session
+    from mocap.synth import synthesise
+    from mocap.synth.scene import load_scene
 
     session = folder / "sessions" / case.scene
     if not (session / "calibration.toml").exists():

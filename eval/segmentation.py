@@ -63,7 +63,7 @@ def sessions(only: set[str] | None, work: Path) -> Iterator[tuple[str, Path]]:
             continue
         folder = work / "sessions" / name
         if not folder.exists():
-            from data_synth import synthesise
+            from mocap.synth import synthesise
 
             synthesise(name, folder)
         yield name, folder

@@ -274,7 +274,7 @@ def demo(
 ) -> None:
     """Make a small synthetic session, run everything on it and score it against its exact truth."""
     started = time.perf_counter()
-    from data_synth import synthesise
+    from mocap.synth import synthesise
 
     session = out / "session"
     typer.echo(f"1. Synthesising the scene '{scene}' into {session}")
@@ -586,7 +586,7 @@ def check(
 
 def _list_scenes(value: bool) -> None:
     if value:
-        from data_synth import list_scenes
+        from mocap.synth import list_scenes
 
         typer.echo("\n".join(list_scenes()))
         raise typer.Exit
@@ -613,15 +613,15 @@ def synth(
     ] = False,
 ) -> None:
     """Make a synthetic session with exact truth."""
-    from data_synth import synthesise
-    from data_synth.preview import check_picture_name
+    from mocap.synth import synthesise
+    from mocap.synth.preview import check_picture_name
 
     if preview is not None:
         check_picture_name(preview)
     with _progress() as progress:
         path = synthesise(scene, out, seed=seed, workers=workers, body=body, progress=progress)
     if preview is not None:
-        from data_synth.preview import preview_sheet
+        from mocap.synth.preview import preview_sheet
 
         preview_sheet(path, preview)
         typer.echo(f"Preview in {preview}")

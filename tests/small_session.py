@@ -39,8 +39,8 @@ PLAIN = (*SETTINGS, 'output.formats=["bvh", "trc"]')
 def small_session(base: Path) -> Path:
     """A session of 12 frames and four cameras, a man walking; made once in a process. Never change it: copy it."""
     pytest.importorskip("embreex", reason="rendering needs the extra synth (embreex)")
-    from data_synth import synthesise
-    from data_synth.scene import scene_from_dict
+    from mocap.synth import synthesise
+    from mocap.synth.scene import scene_from_dict
 
     scene = {
         "name": "small",

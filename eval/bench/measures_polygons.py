@@ -18,8 +18,8 @@ _N_NUMPY = 2
 @lru_cache(maxsize=1)
 def _scene() -> tuple[PolygonProblem, NDArray[np.float64]]:
     """An object of 4 arms of 5 parts in 800 x 640 and particles around its true state."""
-    from data_synth.polygons import PolygonSceneSettings, make_polygon_scene
     from mocap.likelihood import random_walk_std
+    from mocap.synth.polygons import PolygonSceneSettings, make_polygon_scene
 
     scene = make_polygon_scene(PolygonSceneSettings(n_arms=4, n_levels=6), rng=np.random.default_rng(_SEED))
     problem = scene.problem(60)

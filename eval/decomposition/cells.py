@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.polygons import SMALL, PolygonScene, PolygonSceneSettings, make_polygon_scene
 from eval.decomposition.readings import (
     AbsoluteAngles,
     LogDistanceProblem,
@@ -29,6 +28,7 @@ from mocap.likelihood.polygons import (
     random_walk_std,
 )
 from mocap.metrics import corner_error
+from mocap.synth.polygons import SMALL, PolygonScene, PolygonSceneSettings, make_polygon_scene
 
 Array = NDArray[np.float64]
 

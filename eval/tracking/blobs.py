@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.furniture import Box, Chair, Table
 from eval.tracking.hulls import SHARED, WORK, HullClip
 from mocap.data import CameraRig, VoxelGrid
 from mocap.io.calibration import read_calibration
+from mocap.synth.furniture import Box, Chair, Table
 from mocap.tracking import BlobFeatures
 from mocap.tracking.features import Components, components_of
 from mocap.volume import Carver, connected_components

@@ -68,9 +68,9 @@ def is_made(scene: str, sizes: Sequence[int] = VOXEL_CM, work: Path = WORK) -> b
 
 def make_hulls(scene: str, sizes: Sequence[int] = VOXEL_CM, work: Path = WORK) -> None:
     """Render a scene, segment its pictures and carve it at every voxel size; what is there already is kept."""
-    from data_synth.scene import load_scene, synthesise
     from mocap.pipeline.config import load_config
     from mocap.pipeline.run import run_session
+    from mocap.synth.scene import load_scene, synthesise
 
     if is_made(scene, sizes, work):
         return

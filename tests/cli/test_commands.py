@@ -104,7 +104,7 @@ def test_list_scenes_prints_one_name_per_line() -> None:
     names = said.out.splitlines()
     assert said.code == 0
     assert {"demo", "walk"} <= set(names)
-    assert names == sorted(p.stem for p in (ROOT / "data_synth" / "scenes").rglob("*.toml"))
+    assert names == sorted(p.stem for p in (ROOT / "mocap" / "synth" / "scenes").rglob("*.toml"))
 
 
 def test_run_says_what_it_found(session: Path, tmp_path: Path) -> None:

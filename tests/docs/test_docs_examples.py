@@ -51,7 +51,7 @@ def test_every_python_block_is_python_and_imports_what_exists(page: Path) -> Non
 def test_the_scene_of_the_page_is_a_scene() -> None:
     import tomllib
 
-    from data_synth.scene import scene_from_dict
+    from mocap.synth.scene import scene_from_dict
 
     (example,) = blocks(ROOT / "docs" / "synthetic.md", "toml")
     scene = scene_from_dict({"name": "page", **tomllib.loads(example)})
@@ -59,7 +59,7 @@ def test_the_scene_of_the_page_is_a_scene() -> None:
 
 
 def test_the_page_names_every_scene() -> None:
-    from data_synth import list_scenes
+    from mocap.synth import list_scenes
 
     text = (ROOT / "docs" / "synthetic.md").read_text(encoding="utf-8")
     assert [name for name in list_scenes() if f"`{name}`" not in text] == []

@@ -178,8 +178,8 @@ def test_the_shipped_tree_is_well_formed() -> None:
 
 def test_the_silhouette_of_a_box_is_that_of_its_surface() -> None:
     """Points of the box fall on the silhouette, points well beside it do not."""
-    from data_synth.furniture import Box
     from mocap.data import Camera
+    from mocap.synth.furniture import Box
 
     K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
     R = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

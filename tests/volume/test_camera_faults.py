@@ -302,7 +302,7 @@ def test_the_carve_stage_warns_and_goes_on_with_the_other_cameras(tmp_path: Path
 def test_faults_of_rendered_scenes_are_named(scene: str, tmp_path: Path) -> None:
     """Videos, segmentation and all; three minutes a scene."""
     pytest.importorskip("embreex", reason="rendering needs the extra synth (embreex)")
-    from data_synth import synthesise
+    from mocap.synth import synthesise
 
     (row,) = evaluate(synthesise(scene, tmp_path / scene), "images")
     assert row["is_right"] == 1
