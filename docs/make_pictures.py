@@ -28,7 +28,7 @@ from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.io.video import FrameReader, iter_clip
-from mocap.likelihood import ColourProblem, new_appearance
+from mocap.likelihood.colours import ColourProblem, new_appearance
 from mocap.metrics import epsilon_lilliefors, point_errors
 from mocap.pipeline.config import load_config
 from mocap.pipeline.outputs import body_parts

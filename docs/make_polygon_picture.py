@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.filters import FILTERS, initial_particles, settings_for
-from mocap.likelihood import random_walk_std
+from mocap.likelihood.polygons import random_walk_std
 from mocap.synth.polygons import (
     SMALL,
     PolygonScene,

@@ -90,13 +90,8 @@ def prepare(work: Path, n_frames: int) -> Clip:
     from mocap.io.session import open_session
     from mocap.io.store import StageStore
     from mocap.io.tables import read_detections_csv, read_landmarks_csv
-    from mocap.likelihood import VoxelProblem
-    from mocap.likelihood.markers import (
-        MarkerLikelihoodSettings,
-        MarkerProblem,
-        marker_views,
-        observe,
-    )
+    from mocap.likelihood.markers import MarkerLikelihoodSettings, MarkerProblem, marker_views, observe
+    from mocap.likelihood.voxels import VoxelProblem
     from mocap.pipeline.config import load_config
     from mocap.pipeline.pose_problem import PersonHull, make_tools, pack_volume
     from mocap.pipeline.run import run_session

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mocap.body import Body, LookUpTable, landmarks_of, neutral_state
 from mocap.data import VoxelGrid
 from mocap.filters import FilterInfo, ParticleState, initial_particles
-from mocap.likelihood import PackedVolume, VoxelLikelihoodSettings, VoxelProblem
+from mocap.likelihood.voxels import PackedVolume, VoxelLikelihoodSettings, VoxelProblem
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[1]

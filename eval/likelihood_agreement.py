@@ -43,7 +43,7 @@ _TRACKED = ("apf", "shbm model2 mirror")
 
 def agreement(clip: HullClip, scene: str, spread: str, n_points: int, seed: int) -> dict[str, Any]:
     """Means over poses spread over the clip."""
-    from mocap.likelihood import VoxelLikelihoodSettings, VoxelProblem
+    from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 
     std_m, std_rad = SPREADS[spread]
     std = np.where(np.arange(clip.body.layout.n_columns) < 3, std_m, std_rad)
@@ -78,7 +78,7 @@ def agreement(clip: HullClip, scene: str, spread: str, n_points: int, seed: int)
 def tracking(clip: HullClip, scene: str, name: str, kind: Any, seed: int) -> dict[str, Any]:
     """One filter over one clip with one kind of likelihood."""
     from mocap.body import landmarks_of
-    from mocap.likelihood import VoxelLikelihoodSettings
+    from mocap.likelihood.voxels import VoxelLikelihoodSettings
     from mocap.metrics import point_scores
 
     step, settings = filters(clip)[name]

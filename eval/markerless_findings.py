@@ -118,7 +118,7 @@ def measure(clip: HullClip, variant: Variant, scene: str, masks: str, seed: int)
 
     from mocap.body import landmarks_of
     from mocap.filters import ApfSettings, apf_step
-    from mocap.likelihood import VoxelLikelihoodSettings
+    from mocap.likelihood.voxels import VoxelLikelihoodSettings
     from mocap.metrics import point_scores
 
     settings = ApfSettings(n_layers=variant.n_layers, n_particles=variant.n_particles, std=clip.std)

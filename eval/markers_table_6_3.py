@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.likelihood import MarkerObservation, MarkerViews, marker_views, observe
+from mocap.likelihood.markers import MarkerObservation, MarkerViews, marker_views, observe
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.markers import Prepared, prepare_person
 

@@ -7,7 +7,13 @@ from flesh_voxels import Flesh
 
 from mocap.body import cones_of, neutral_state
 from mocap.data import Camera, CameraRig
-from mocap.likelihood import OutlineFitSettings, OutlineProblem, Outlines, person_outlines, pinhole_view
+from mocap.likelihood.residuals import (
+    OutlineFitSettings,
+    OutlineProblem,
+    Outlines,
+    person_outlines,
+    pinhole_view,
+)
 
 W, H = 200, 160
 FOCAL = 150.0

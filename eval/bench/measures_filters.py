@@ -8,7 +8,7 @@ import numpy as np
 
 from eval.bench.measures_likelihood import body_scene
 from eval.bench.registry import interleaved_medians, measure
-from mocap.likelihood import ColourProblem
+from mocap.likelihood.colours import ColourProblem
 
 _SEED = 5
 _N_WEIGHTS = 600
@@ -33,7 +33,7 @@ def resampling_over_filterpy() -> float:
 @lru_cache(maxsize=1)
 def _colours() -> ColourProblem:
     """Rays from four cameras through the surface of the scene's body, in two colours, learnt once."""
-    from mocap.likelihood import PixelRays, colour_bins_of_pixels, new_appearance
+    from mocap.likelihood.colours import PixelRays, colour_bins_of_pixels, new_appearance
 
     s = body_scene()
     points = s.surface.hull.points

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from eval.bench.registry import measure
 from mocap.data import VoxelGrid
 from mocap.data.problem import limbs_of
-from mocap.likelihood import SurfaceProblem, VoxelProblem
+from mocap.likelihood.residuals import SurfaceProblem
+from mocap.likelihood.voxels import VoxelProblem
 
 Array = NDArray[np.float64]
 
@@ -54,7 +55,8 @@ def body_scene() -> BodyScene:
     """The body of 1.75 m in its own hull, a voxel larger all around, as carving leaves it."""
     from mocap.body import build_look_up_table, cones_of, load_body_model, neutral_state, scale_body
     from mocap.body.flesh import cone_distances
-    from mocap.likelihood import SurfaceFitSettings, VoxelLikelihoodSettings, hull_surface
+    from mocap.likelihood.residuals import SurfaceFitSettings, hull_surface
+    from mocap.likelihood.voxels import VoxelLikelihoodSettings
     from mocap.pipeline.pose_problem import PersonHull, pack_volume
     from mocap.volume import surface_voxels
 
@@ -128,7 +130,7 @@ def likelihood_limb_us() -> float:
 @measure("likelihood_over_numpy", unit="x", better="higher")
 def likelihood_over_numpy() -> float:
     """How many times faster than the same scores written with numpy; both give the same numbers."""
-    from mocap.likelihood import part_scores, part_scores_numpy
+    from mocap.likelihood.voxels import part_scores, part_scores_numpy
 
     s = body_scene()
     args = s.voxels.body, s.voxels.table, s.voxels.volume

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from eval.bench.registry import measure
 from mocap.body import Body
 from mocap.body.markers import Markers
-from mocap.likelihood import MarkerObservation, MarkerViews
+from mocap.likelihood.markers import MarkerObservation, MarkerViews
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def marker_scene() -> MarkerScene:
     from mocap.body import load_body_model, neutral_state, scale_body
     from mocap.body.markers import load_marker_set, marker_positions, place_markers
     from mocap.data.propagation import truncated_gaussian_step
-    from mocap.likelihood import marker_views, observe
+    from mocap.likelihood.markers import marker_views, observe
 
     rng = np.random.default_rng(_SEED)
     body = scale_body(load_body_model("anthropometric"), 1.75)
@@ -84,7 +84,7 @@ def _median_s(function: Callable[[], object], n_rounds: int) -> float:
 
 def _filter_fps(reprojection_weight: float) -> float:
     from mocap.filters import ApfSettings, apf_step, initial_particles
-    from mocap.likelihood import MarkerLikelihoodSettings, MarkerProblem, observe
+    from mocap.likelihood.markers import MarkerLikelihoodSettings, MarkerProblem, observe
 
     s = marker_scene()
     likelihood = MarkerLikelihoodSettings(reprojection_weight=reprojection_weight)
@@ -113,7 +113,7 @@ def marker_fps_printed() -> float:
 @measure("marker_likelihood_us", unit="us", better="lower")
 def marker_likelihood_us() -> float:
     """One evaluation of 20 markers in 7 views with both terms, in a batch of 700."""
-    from mocap.likelihood import MarkerLikelihoodSettings, MarkerProblem
+    from mocap.likelihood.markers import MarkerLikelihoodSettings, MarkerProblem
 
     s = marker_scene()
     problem = MarkerProblem(
@@ -125,7 +125,7 @@ def marker_likelihood_us() -> float:
 @measure("marker_likelihood_over_numpy", unit="x", better="higher")
 def marker_likelihood_over_numpy() -> float:
     """How many times faster than the same scores written with numpy; both give the same numbers."""
-    from mocap.likelihood import MarkerLikelihoodSettings, MarkerProblem, marker_scores_numpy
+    from mocap.likelihood.markers import MarkerLikelihoodSettings, MarkerProblem, marker_scores_numpy
 
     s = marker_scene()
     settings = MarkerLikelihoodSettings(reprojection_weight=0.5)

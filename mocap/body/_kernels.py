@@ -56,6 +56,34 @@ def transforms_kernel(states, parent, offset, dof_joint, dof_axis, dof_column, R
 
 
 @njit(cache=True, nogil=True)
+def chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes):
+    """Joint transforms, and the world direction of every rotation axis, axes (n_dofs, 3)."""
+    forward_kinematics(state, parent, offset, dof_joint, dof_axis, dof_column, R, t)
+    M = np.empty((3, 3))
+    for d in range(dof_joint.shape[0]):
+        j = dof_joint[d]
+        if d == 0 or dof_joint[d - 1] != j:
+            p = parent[j]
+            for r in range(3):
+                for c in range(3):
+                    if p < 0:
+                        M[r, c] = 1.0 if r == c else 0.0
+                    else:
+                        M[r, c] = R[p, r, c]
+        for r in range(3):
+            axes[d, r] = M[r, dof_axis[d]]
+        co = math.cos(state[dof_column[d]])
+        si = math.sin(state[dof_column[d]])
+        a = (dof_axis[d] + 1) % 3
+        b = (dof_axis[d] + 2) % 3
+        for r in range(3):
+            va = M[r, a]
+            vb = M[r, b]
+            M[r, a] = co * va + si * vb
+            M[r, b] = -si * va + co * vb
+
+
+@njit(cache=True, nogil=True)
 def cones_on_lattice(origin, spacing, start, end, radii, round_ends, inside, deepest):
     """Which points of a lattice lie in each truncated cone.
 

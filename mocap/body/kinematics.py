@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body._kernels import transforms_kernel
+from mocap.body._kernels import chain_axes, transforms_kernel
 from mocap.body.model import Body
 from mocap.data.skeleton import Skeleton
 from mocap.geometry.rigid import matrix_from_twist
@@ -78,6 +78,33 @@ def cones_of_particles(body: Body, states: Array, which: NDArray[np.bool_]) -> t
     start = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.start[which]) + t[:, joint]
     end = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.end[which]) + t[:, joint]
     return start, end
+
+
+def dof_moves_joint(body: Body) -> NDArray[np.bool_]:
+    """Which rotations move which joint frame, (J, n_dofs)."""
+    moves = np.zeros((len(body.joints), len(body.dof_joint)), dtype=np.bool_)
+    for j in range(len(body.joints)):
+        ancestor = j
+        while ancestor >= 0:
+            moves[j] |= body.dof_joint == ancestor
+            ancestor = int(body.parent[ancestor])
+    return moves
+
+
+def point_jacobian(
+    body: Body, state: Array, joint: NDArray[np.int64], offset: Array
+) -> tuple[Array, Array, Array]:
+    """Points offset (K, 3) m on joints (K,) at a state (D,): their places (K, 3) m, world, the derivatives (K, 3, D) of
+    these by the state, and the rotations (J, 3, 3) of all joints."""
+    J = len(body.joints)
+    R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
+    chain_axes(np.ascontiguousarray(state, dtype=np.float64), *body.chain, R, t, axes)
+    points = np.einsum("mrc,mc->mr", R[joint], offset) + t[joint]
+    out = np.zeros((len(points), 3, body.layout.n_columns))
+    out[:, :, :3] = np.eye(3)
+    turn = np.cross(axes[None], points[:, None] - t[body.dof_joint][None])
+    out[:, :, body.dof_column] += (turn * dof_moves_joint(body)[joint][:, :, None]).transpose(0, 2, 1)
+    return points, out, R
 
 
 def neutral_state(body: Body) -> Array:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from mocap.body import Body
 from mocap.body.average import mean_state
+from mocap.body.kinematics import point_jacobian
 from mocap.data import LANDMARKS, StateLayout
 from mocap.data.problem import limbs_of
 from mocap.filters import FilterInfo, ParticleState, RefineSettings, refine
 from mocap.filters.smoother import smooth_points
-from mocap.likelihood import point_jacobian
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, candidate_states
 from mocap.filters import ApfSettings, ParticleState, apf_step, initial_particles
-from mocap.likelihood import Appearance
+from mocap.likelihood.colours import Appearance
 from mocap.pipeline.limbs import first_parts, recover_limbs
 from mocap.pipeline.pose_problem import FrameProblem, PoseTools, PreparedHull
 from mocap.threads import in_parallel

@@ -14,7 +14,8 @@ from mocap.data import StateLayout
 from mocap.data.problem import limbs_of
 from mocap.filters import ScoutSettings, scout_limbs
 from mocap.filters.scout import Bonus
-from mocap.likelihood import ColourProblem, SurfaceProblem
+from mocap.likelihood.colours import ColourProblem
+from mocap.likelihood.residuals import SurfaceProblem
 from mocap.pipeline.pose_problem import NATS_PER_M2, FrameProblem, PoseTools
 
 Array = NDArray[np.float64]

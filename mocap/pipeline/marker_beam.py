@@ -19,7 +19,7 @@ from mocap.filters import FILTERS, ParticleState, initial_particles
 from mocap.filters.annealing import annealed, layer_scales, next_beta
 from mocap.filters.resampling import systematic
 from mocap.filters.weights import normalise_log_weights
-from mocap.likelihood import MarkerProblem
+from mocap.likelihood.markers import MarkerProblem
 from mocap.pipeline.marker_problem import WIDE, Fit, MarkerTools, ObservationOf
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from mocap.body import Body
 from mocap.body.markers import Markers
 from mocap.filters import FilterSettings, RefineSettings, refine
 from mocap.geometry.rigid import wrap_angle
-from mocap.likelihood import (
+from mocap.likelihood.markers import (
     MarkerFitProblem,
     MarkerFitSettings,
     MarkerLikelihoodSettings,

@@ -14,7 +14,7 @@ from mocap.body.initial import HIGHEST_STANDING_TOP_M, LOWEST_STANDING_TOP_M
 from mocap.body.markers import Markers, marker_positions
 from mocap.filters import ApfSettings, apf_step, initial_particles
 from mocap.geometry.triangulation import triangulate_unlabelled
-from mocap.likelihood import MarkerObservation
+from mocap.likelihood.markers import MarkerObservation
 from mocap.pipeline.marker_problem import WIDE, Fit, MarkerTools, ObservationOf
 
 Array = NDArray[np.float64]

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, cones_of, landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.initial import DEFAULT_HEIGHT_M, HeightEstimate
+from mocap.body.kinematics import point_jacobian
 from mocap.body.markers import load_marker_set, marker_positions, place_markers
 from mocap.data import LANDMARKS
 from mocap.filters import FILTERS, initial_particles
 from mocap.filters.smoother import smooth_states
-from mocap.likelihood import BundleSettings, MarkerFitProblem, bundle_markers, point_jacobian
+from mocap.likelihood.markers import BundleSettings, MarkerFitProblem, bundle_markers
 from mocap.pipeline.config import Config
 from mocap.pipeline.marker_beam import BeamPath, follow_beam
 from mocap.pipeline.marker_problem import MIN_MATCHED_MARKERS, WIDE, Fit, MarkerTools, ObservationOf

@@ -12,7 +12,8 @@ from mocap.body import Body, head_top, height_from_tops, is_upright, landmarks_o
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, VoxelGrid
 from mocap.filters import FILTERS, ParticleState, initial_particles
-from mocap.likelihood import Appearance, PartScores, new_appearance, part_scores
+from mocap.likelihood.colours import Appearance, new_appearance
+from mocap.likelihood.voxels import PartScores, part_scores
 from mocap.metrics.smoothness import smoothness_scores
 from mocap.pipeline.estimate import (
     UNEXPLAINED_M,

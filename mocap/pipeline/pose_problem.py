@@ -12,22 +12,18 @@ from numpy.typing import NDArray
 from mocap.body import Body, LookUpTable, load_body_model, scale_body
 from mocap.data import VoxelGrid
 from mocap.filters import RefineSettings
-from mocap.likelihood import (
-    Appearance,
+from mocap.likelihood.colours import Appearance, ColourProblem, PixelRays
+from mocap.likelihood.residuals import (
     BodyFit,
-    ColourProblem,
     HullSurface,
     OutlineFitSettings,
     OutlineProblem,
     Outlines,
-    PackedVolume,
-    PixelRays,
     SurfaceFitSettings,
     SurfaceProblem,
-    VoxelLikelihoodSettings,
-    VoxelProblem,
     hull_surface,
 )
+from mocap.likelihood.voxels import PackedVolume, VoxelLikelihoodSettings, VoxelProblem
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.posture import Posture, usual_posture
 from mocap.threads import in_parallel

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from mocap.body import build_look_up_table
 from mocap.body.stretch import resize_body
-from mocap.likelihood import OutlineProblem, SurfaceProblem, VoxelProblem
+from mocap.likelihood.residuals import OutlineProblem, SurfaceProblem
+from mocap.likelihood.voxels import VoxelProblem
 from mocap.pipeline.pose_problem import FrameProblem, PoseTools
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from eval.markers_table_6_3 import (
     run_cell,
 )
 from mocap.body.initial import HeightEstimate
-from mocap.likelihood import marker_views
+from mocap.likelihood.markers import marker_views
 from mocap.pipeline.config import load_config
 from mocap.pipeline.marker_problem import MarkerTools
 from mocap.pipeline.markers import Prepared

@@ -27,7 +27,7 @@ from mocap.filters import (
     shbm_step,
 )
 from mocap.filters.ddma import spread_of
-from mocap.likelihood import VoxelLikelihoodSettings, VoxelProblem
+from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 from mocap.pipeline.pose_problem import pack_volume
 
 LIMBS = ("right_arm", "left_arm", "right_leg", "left_leg")  # order of the preset

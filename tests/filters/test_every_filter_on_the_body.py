@@ -10,7 +10,7 @@ from flesh_voxels import Flesh
 from mocap.body import landmarks_of, neutral_state
 from mocap.filters import FILTERS, PART_BY_PART, initial_particles, settings_for
 from mocap.filters.budget import SETTINGS
-from mocap.likelihood import VoxelLikelihoodSettings, VoxelProblem
+from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 from mocap.pipeline.pose_problem import pack_volume
 
 N_PARTICLES, N_LAYERS = 60, 4

@@ -10,13 +10,8 @@ from mocap.body import landmarks_of, neutral_state
 from mocap.data import LANDMARKS, StateLayout
 from mocap.filters import RefineSettings, ScoutSettings, refine, scout_limbs
 from mocap.filters.scout import limbs_of
-from mocap.likelihood import (
-    SurfaceFitSettings,
-    SurfaceProblem,
-    VoxelLikelihoodSettings,
-    VoxelProblem,
-    hull_surface,
-)
+from mocap.likelihood.residuals import SurfaceFitSettings, SurfaceProblem, hull_surface
+from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 from mocap.pipeline.pose_problem import PersonHull, pack_volume
 
 VOXEL_M = 0.02

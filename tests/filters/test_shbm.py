@@ -31,7 +31,7 @@ from mocap.filters.structural import (
     level_std,
     particles_per_level,
 )
-from mocap.likelihood import VoxelLikelihoodSettings, VoxelProblem
+from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 from mocap.pipeline.pose_problem import pack_volume
 
 # Five parts, one column each: a trunk, two branches of which one has two more joints.

@@ -10,9 +10,15 @@ from flesh_voxels import Flesh
 
 from mocap.body import cones_of, load_body_model, neutral_state, scale_body
 from mocap.body.flesh import cone_distances
-from mocap.likelihood import Appearance, ColourProblem, PixelRays, colour_bins_of_pixels, new_appearance
-from mocap.likelihood import _appearance_kernels as kernels
-from mocap.likelihood.appearance import N_COLOURS, body_zones
+from mocap.likelihood.colours import (
+    Appearance,
+    ColourProblem,
+    PixelRays,
+    colour_bins_of_pixels,
+    new_appearance,
+)
+from mocap.likelihood.colours import _kernels as kernels
+from mocap.likelihood.colours.appearance import N_COLOURS, body_zones
 
 SHIRT, TROUSERS, SKIN = (200, 120, 30), (40, 45, 70), (220, 170, 150)
 
@@ -195,7 +201,7 @@ def test_kernels_agree_with_their_python(
         coarse_flesh.body.layout.parts.index("right_forearm"),
     ]
     compiled = colours.log_ratio(particles), colours.limb_log_ratio(standing, limb)(particles)
-    module = "mocap.likelihood.appearance."
+    module = "mocap.likelihood.colours.appearance."
     plain = kernels.see_cones.py_func
     monkeypatch.setattr(kernels, "see_cones", plain)
     monkeypatch.setattr(kernels, "meet_cone", kernels.meet_cone.py_func)

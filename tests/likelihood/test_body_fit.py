@@ -9,8 +9,8 @@ from outline_world import bent, make_rig, outlines_of, problem_of
 
 from mocap.body import neutral_state
 from mocap.filters import RefineSettings, refine
-from mocap.likelihood import BodyFit, SumProblem, SurfaceFitSettings, SurfaceProblem, hull_surface
-from mocap.likelihood import _fit_kernels as kernels
+from mocap.likelihood.residuals import BodyFit, SumProblem, SurfaceFitSettings, SurfaceProblem, hull_surface
+from mocap.likelihood.residuals import _descent_kernels as kernels
 from mocap.pipeline.pose_problem import pack_volume
 
 USUAL_WEIGHT = 1e-5  # m^2 per hull point and nat

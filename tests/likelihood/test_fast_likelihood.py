@@ -8,7 +8,7 @@ from flesh_voxels import Flesh, make_flesh
 
 from mocap.body import neutral_state
 from mocap.data import VoxelGrid
-from mocap.likelihood import (
+from mocap.likelihood.voxels import (
     PackedVolume,
     VoxelLikelihoodSettings,
     VoxelProblem,
@@ -16,9 +16,9 @@ from mocap.likelihood import (
     fast_part_scores,
     part_scores,
 )
-from mocap.likelihood._fast_kernels import fast_scores_kernel
-from mocap.likelihood.fast import _FILLED, _fast_sample, segment_map, spread_sample
-from mocap.likelihood.voxels import SURFACE_MAX
+from mocap.likelihood.voxels._fast_kernels import fast_scores_kernel
+from mocap.likelihood.voxels.exact import SURFACE_MAX
+from mocap.likelihood.voxels.fast import _FILLED, _fast_sample, segment_map, spread_sample
 from mocap.pipeline.pose_problem import pack_volume
 
 FIELDS = ("out", "double", "occupied", "surface")

@@ -7,15 +7,9 @@ import pytest
 from marker_world import marching, marker_world, other_body
 
 from mocap.body import landmarks_of, load_body_model, scale_body
+from mocap.body.kinematics import point_jacobian
 from mocap.body.markers import load_marker_set, marker_positions, place_markers
-from mocap.likelihood import (
-    BundleSettings,
-    MarkerFitSettings,
-    bundle_markers,
-    marker_views,
-    observe,
-    point_jacobian,
-)
+from mocap.likelihood.markers import BundleSettings, MarkerFitSettings, bundle_markers, marker_views, observe
 
 STEP = 1e-6
 FIT = MarkerFitSettings(noise_px=0.7, extra_slack_m=0.01, reach_m=0.15)

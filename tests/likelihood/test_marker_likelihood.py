@@ -12,7 +12,7 @@ from mocap.body import Body, neutral_state
 from mocap.body.markers import Markers, marker_positions
 from mocap.data import CameraRig
 from mocap.geometry.epipolar import symmetric_epipolar_distance
-from mocap.likelihood import (
+from mocap.likelihood.markers import (
     MarkerFitProblem,
     MarkerFitSettings,
     MarkerLikelihoodSettings,

@@ -22,14 +22,8 @@ from outline_world import (
 from mocap.body import cones_of, landmarks_of
 from mocap.data import CameraRig
 from mocap.filters import RefineSettings, refine
-from mocap.likelihood import (
-    OutlineFitSettings,
-    Outlines,
-    SumProblem,
-    person_outlines,
-    pinhole_view,
-)
-from mocap.likelihood import _outline_kernels as kernels
+from mocap.likelihood.residuals import OutlineFitSettings, Outlines, SumProblem, person_outlines, pinhole_view
+from mocap.likelihood.residuals import _outline_kernels as kernels
 
 STEP = 1e-6
 # A pixel is 2 cm wide at the person: half of it is the most an exact outline may miss.
@@ -209,7 +203,7 @@ def test_compiled_and_plain_python_agree(
     settings = OutlineFitSettings(n_flesh_points=30)
     state = bent(flesh) + 0.03
     fast = problem_of(flesh, few, settings).normal_equations(state)
-    module = "mocap.likelihood.outlines."
+    module = "mocap.likelihood.residuals.outlines."
     for name in ("add_pull", "spread_pulls", "outline_to_body", "body_to_silhouettes"):
         monkeypatch.setattr(kernels, name, getattr(kernels, name).py_func)
     monkeypatch.setattr(module + "outline_equations", kernels.outline_equations.py_func)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mocap.data import Camera, CameraRig
-from mocap.likelihood import SilhouettePixels, person_rays, sample_silhouettes
-from mocap.likelihood.appearance import colour_bins_of_pixels
-from mocap.likelihood.pixels import lattice_step
+from mocap.data.pixels import SilhouettePixels, lattice_step
+from mocap.foreground.pixels import sample_silhouettes
+from mocap.likelihood.colours import colour_bins_of_pixels, person_rays
 
 SIZE = (320, 240)
 

@@ -6,9 +6,9 @@ from flesh_voxels import Flesh
 from scipy.spatial import cKDTree
 
 from mocap.body import Body, joint_transforms, neutral_state
-from mocap.likelihood import _pull_kernels as kernels
-from mocap.likelihood._surface_kernels import nearest_in_blocks, sort_into_blocks
-from mocap.likelihood.surface import dof_moves_joint
+from mocap.body.kinematics import dof_moves_joint
+from mocap.likelihood.residuals import _pull_kernels as kernels
+from mocap.likelihood.residuals._surface_kernels import nearest_in_blocks, sort_into_blocks
 
 STEP = 1e-6
 

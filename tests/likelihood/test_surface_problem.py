@@ -7,9 +7,10 @@ import pytest
 from flesh_voxels import Flesh
 
 from mocap.body import Body, cones_of, joint_transforms, neutral_state
-from mocap.likelihood import HullSurface, PackedVolume, SurfaceFitSettings, SurfaceProblem, hull_surface
-from mocap.likelihood._pull_kernels import chain_axes
-from mocap.likelihood.surface import dof_moves_joint
+from mocap.body._kernels import chain_axes
+from mocap.body.kinematics import dof_moves_joint
+from mocap.likelihood.residuals import HullSurface, SurfaceFitSettings, SurfaceProblem, hull_surface
+from mocap.likelihood.voxels import PackedVolume
 from mocap.pipeline.pose_problem import PersonHull, pack_volume
 from mocap.volume import surface_voxels
 

@@ -10,19 +10,19 @@ from flesh_voxels import Flesh, make_flesh
 from mocap.body import joint_transforms, landmarks_of, neutral_state
 from mocap.data import VoxelGrid
 from mocap.data.problem import limbs_of
-from mocap.likelihood import (
+from mocap.likelihood.voxels import (
     PackedVolume,
     PartScores,
     VoxelLikelihoodSettings,
     VoxelProblem,
-    _kernels,
     factorised_log_likelihood,
     global_log_likelihood,
     part_scores,
     part_scores_numpy,
 )
-from mocap.likelihood._kernels import part_scores_kernel
-from mocap.likelihood.voxels import SURFACE_MAX, _select, held_body
+from mocap.likelihood.voxels import _exact_kernels as _kernels
+from mocap.likelihood.voxels._exact_kernels import part_scores_kernel
+from mocap.likelihood.voxels.exact import SURFACE_MAX, _select, held_body
 from mocap.pipeline.pose_problem import PersonHull, pack_volume
 
 FIELDS = ("out", "double", "occupied", "surface")
@@ -434,7 +434,7 @@ def test_held_kernels_agree_with_their_python(
     held, particles = moved_limb(coarse_flesh, limb, 2)
     args = coarse_flesh.body, coarse_flesh.table, volume
     compiled = held_body(*args, held, limb).scores(particles)
-    module = "mocap.likelihood.voxels."
+    module = "mocap.likelihood.voxels.exact."
     monkeypatch.setattr(module + "take_voxels", _kernels.take_voxels.py_func)
     monkeypatch.setattr(module + "limb_scores_kernel", _kernels.limb_scores_kernel.py_func)
     monkeypatch.setattr(_kernels, "_placed_indices", _kernels._placed_indices.py_func)

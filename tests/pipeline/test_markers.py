@@ -15,7 +15,7 @@ from mocap.data import LANDMARKS
 from mocap.errors import MocapError
 from mocap.io.session import open_session
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
-from mocap.likelihood import marker_views, observe
+from mocap.likelihood.markers import marker_views, observe
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.marker_start import height_from_points, points_of_frames, steady_points
 from mocap.pipeline.markers import flesh_centroids, follow_markers

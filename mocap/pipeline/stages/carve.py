@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from mocap.data import Hull, VoxelGrid
 from mocap.errors import MocapError
+from mocap.foreground.pixels import sample_silhouettes
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.io.video import FrameReader
-from mocap.likelihood import sample_silhouettes
 from mocap.pipeline.config import Config
 from mocap.pipeline.stages.report import Progress, StageReport
 from mocap.pipeline.stages.segment import read_masks

@@ -24,7 +24,7 @@ from mocap.io.detections import LABELS_FILE, read_detections, read_marker_labels
 from mocap.io.session import Session
 from mocap.io.store import StageStore, StageWriter
 from mocap.io.video import FrameReader
-from mocap.likelihood import MarkerObservation, marker_views, observe
+from mocap.likelihood.markers import MarkerObservation, marker_views, observe
 from mocap.pipeline.config import Config, MarkersConfig
 from mocap.pipeline.markers import flesh_centroids, follow_markers
 from mocap.pipeline.pose import PersonPoses

@@ -14,17 +14,11 @@ from mocap.body.initial import HeightEstimate
 from mocap.body.model import load_body_model, parse_body_model
 from mocap.body.stretch import lengths_of, with_lengths
 from mocap.data import Tracks
+from mocap.data.pixels import SilhouettePixels
 from mocap.io.session import Session
 from mocap.io.store import StageStore
-from mocap.likelihood import (
-    OutlineFitSettings,
-    Outlines,
-    PixelRays,
-    SilhouettePixels,
-    person_outlines,
-    person_rays,
-    pinhole_view,
-)
+from mocap.likelihood.colours import PixelRays, person_rays
+from mocap.likelihood.residuals import OutlineFitSettings, Outlines, person_outlines, pinhole_view
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose import PersonPoses, estimate_height, follow_person
 from mocap.pipeline.pose_problem import HullOf, PersonHull, make_tools

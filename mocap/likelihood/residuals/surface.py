@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body.flesh import LookUpTable
-from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
+from mocap.body.kinematics import cones_of, cones_of_particles, dof_moves_joint, joint_transforms
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.voxels import VoxelGrid, Voxels
-from mocap.likelihood._surface_kernels import (
+from mocap.likelihood.residuals._surface_kernels import (
     distance_to_cones,
     share_within,
     sort_into_blocks,
     surface_equations,
     surface_normals,
 )
-from mocap.likelihood.voxels import PackedVolume
+from mocap.likelihood.voxels.exact import PackedVolume
 
 Array = NDArray[np.float64]
 
@@ -99,17 +99,6 @@ def flesh_sample(table: LookUpTable, n: int) -> tuple[Array, NDArray[np.int64], 
     # A stride that is coprime to lattice rows would do; a fixed permutation is simpler and as even.
     chosen = np.sort(np.random.default_rng(0).permutation(len(rows))[:n])
     return table.points[rows[chosen]].astype(np.float64), joints[chosen], parts[chosen]
-
-
-def dof_moves_joint(body: Body) -> NDArray[np.bool_]:
-    """Which rotations move which joint frame, (J, n_dofs)."""
-    moves = np.zeros((len(body.joints), len(body.dof_joint)), dtype=np.bool_)
-    for j in range(len(body.joints)):
-        ancestor = j
-        while ancestor >= 0:
-            moves[j] |= body.dof_joint == ancestor
-            ancestor = int(body.parent[ancestor])
-    return moves
 
 
 @dataclass(frozen=True, eq=False)

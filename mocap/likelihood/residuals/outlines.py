@@ -14,16 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body.flesh import LookUpTable
+from mocap.body.kinematics import dof_moves_joint
 from mocap.body.model import Body
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.problem import StateLayout
-from mocap.likelihood._outline_kernels import (
-    are_near,
-    nearest_of_labels,
-    outline_equations,
-    pixels_of_points,
-)
-from mocap.likelihood.surface import dof_moves_joint, flesh_sample
+from mocap.geometry._pixel_kernels import are_near, pixels_of_points
+from mocap.likelihood.residuals._outline_kernels import nearest_of_labels, outline_equations
+from mocap.likelihood.residuals.surface import flesh_sample
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
 from mocap.body.model import Body
 from mocap.data.problem import limbs_of
-from mocap.likelihood._appearance_kernels import limb_values, see_cones
+from mocap.likelihood.colours._kernels import limb_values, see_cones
 
 Array = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.body.kinematics import point_jacobian
 from mocap.body.markers import Markers
 from mocap.body.model import Body
 from mocap.body.stretch import segment_groups, stretch_body
-from mocap.likelihood._pull_kernels import chain_axes
-from mocap.likelihood.markers import MarkerFitProblem, MarkerFitSettings, MarkerObservation
-from mocap.likelihood.surface import dof_moves_joint
+from mocap.likelihood.markers.fit import MarkerFitProblem, MarkerFitSettings
+from mocap.likelihood.markers.views import MarkerObservation
 
 Array = NDArray[np.float64]
 
@@ -128,22 +128,6 @@ def bundle_markers(
                 x[f] = np.clip(x[f] - back[:, -1] - back[:, :-1] @ d, layout.lower, layout.upper)
     fitted, placed = shaped(theta)
     return Bundle(fitted, placed, x, cost)
-
-
-def point_jacobian(
-    body: Body, state: Array, joint: NDArray[np.int64], offset: Array
-) -> tuple[Array, Array, Array]:
-    """Points offset (K, 3) m on joints (K,) at a state (D,): their places (K, 3) m, world, the derivatives (K, 3, D) of
-    these by the state, and the rotations (J, 3, 3) of all joints."""
-    J = len(body.joints)
-    R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
-    chain_axes(np.ascontiguousarray(state, dtype=np.float64), *body.chain, R, t, axes)
-    points = np.einsum("mrc,mc->mr", R[joint], offset) + t[joint]
-    out = np.zeros((len(points), 3, body.layout.n_columns))
-    out[:, :, :3] = np.eye(3)
-    turn = np.cross(axes[None], points[:, None] - t[body.dof_joint][None])
-    out[:, :, body.dof_column] += (turn * dof_moves_joint(body)[joint][:, :, None]).transpose(0, 2, 1)
-    return points, out, R
 
 
 def _shape_jacobian(

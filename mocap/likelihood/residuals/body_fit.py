@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data.problem import StateLayout
-from mocap.likelihood._fit_kernels import descend, fit_equations
-from mocap.likelihood.outlines import OutlineProblem, no_outline_arguments
-from mocap.likelihood.surface import SurfaceProblem
+from mocap.likelihood.residuals._descent_kernels import descend, fit_equations
+from mocap.likelihood.residuals.outlines import OutlineProblem, no_outline_arguments
+from mocap.likelihood.residuals.surface import SurfaceProblem
 from mocap.threads import in_parallel
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The voxel likelihood as one compiled kernel; the honest twin is `voxels.part_scores_numpy`.
+"""The voxel likelihood as one compiled kernel; the honest twin is `exact.part_scores_numpy`.
 
 What makes it fast, measured: every gather goes through unsigned 32-bit indices into slices that start at 0 (signed
 ones cost a wrap-around test per access and block vectorisation); two passes per segment, indices first; one 32-bit

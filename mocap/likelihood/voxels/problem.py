@@ -13,9 +13,8 @@ from mocap.body.kinematics import cones_of_particles
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.propagation import truncated_gaussian_step
-from mocap.likelihood._kernels import MAX_LIMB_PARTS
-from mocap.likelihood.fast import fast_part_scores
-from mocap.likelihood.voxels import (
+from mocap.likelihood.voxels._exact_kernels import MAX_LIMB_PARTS
+from mocap.likelihood.voxels.exact import (
     OCCUPIED_BIT,
     PackedVolume,
     VoxelLikelihoodSettings,
@@ -24,6 +23,7 @@ from mocap.likelihood.voxels import (
     held_body,
     part_scores,
 )
+from mocap.likelihood.voxels.fast import fast_part_scores
 
 Array = NDArray[np.float64]
 

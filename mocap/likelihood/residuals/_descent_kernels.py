@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from mocap.likelihood._outline_kernels import outline_equations
-from mocap.likelihood._surface_kernels import surface_equations
+from mocap.likelihood.residuals._outline_kernels import outline_equations
+from mocap.likelihood.residuals._surface_kernels import surface_equations
 
 _DAMPING_START = 1e-3
 _DAMPING_MAX = 1e4

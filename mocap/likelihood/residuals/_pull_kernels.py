@@ -8,40 +8,10 @@ Source: the composite-body recursion of rigid-body dynamics, R. Featherstone, Ri
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
-from mocap.body._kernels import forward_kinematics
-
-
-@njit(cache=True, nogil=True)
-def chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes):
-    """Joint transforms, and the world direction of every rotation axis, axes (n_dofs, 3)."""
-    forward_kinematics(state, parent, offset, dof_joint, dof_axis, dof_column, R, t)
-    M = np.empty((3, 3))
-    for d in range(dof_joint.shape[0]):
-        j = dof_joint[d]
-        if d == 0 or dof_joint[d - 1] != j:
-            p = parent[j]
-            for r in range(3):
-                for c in range(3):
-                    if p < 0:
-                        M[r, c] = 1.0 if r == c else 0.0
-                    else:
-                        M[r, c] = R[p, r, c]
-        for r in range(3):
-            axes[d, r] = M[r, dof_axis[d]]
-        co = math.cos(state[dof_column[d]])
-        si = math.sin(state[dof_column[d]])
-        a = (dof_axis[d] + 1) % 3
-        b = (dof_axis[d] + 2) % 3
-        for r in range(3):
-            va = M[r, a]
-            vb = M[r, b]
-            M[r, a] = co * va + si * vb
-            M[r, b] = -si * va + co * vb
+from mocap.body._kernels import chain_axes
 
 
 @njit(cache=True, nogil=True)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from mocap.body.flesh import LookUpTable
 from mocap.body.model import Body
-from mocap.likelihood._fast_kernels import FastSample, Overlap, fast_scores_kernel
-from mocap.likelihood._kernels import Segments
-from mocap.likelihood.voxels import (
+from mocap.likelihood.voxels._exact_kernels import Segments
+from mocap.likelihood.voxels._fast_kernels import FastSample, Overlap, fast_scores_kernel
+from mocap.likelihood.voxels.exact import (
     SURFACE_MAX,
     PackedVolume,
     PartScores,

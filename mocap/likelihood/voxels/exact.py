@@ -16,7 +16,7 @@ from mocap.body.flesh import LookUpTable
 from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
 from mocap.data.voxels import VoxelGrid
-from mocap.likelihood._kernels import (
+from mocap.likelihood.voxels._exact_kernels import (
     MAX_LIMB_PARTS,
     Box,
     Segments,

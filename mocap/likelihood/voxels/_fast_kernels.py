@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mocap.body._kernels import forward_kinematics
-from mocap.likelihood._kernels import (
+from mocap.likelihood.voxels._exact_kernels import (
     Segments,
     _count_outside,
     _indices_inside,

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from mocap.likelihood._pull_kernels import add_pull, posed, robust_loss, spread_pulls
-from mocap.likelihood.voxels import OCCUPIED_BIT
+from mocap.likelihood.residuals._pull_kernels import add_pull, posed, robust_loss, spread_pulls
+from mocap.likelihood.voxels.exact import OCCUPIED_BIT
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,19 @@
+"""Colours: what the pixels of a person say of a pose."""
+
+from mocap.likelihood.colours.appearance import (
+    Appearance,
+    ColourProblem,
+    PixelRays,
+    colour_bins_of_pixels,
+    new_appearance,
+)
+from mocap.likelihood.colours.rays import person_rays
+
+__all__ = [
+    "Appearance",
+    "ColourProblem",
+    "PixelRays",
+    "colour_bins_of_pixels",
+    "new_appearance",
+    "person_rays",
+]
