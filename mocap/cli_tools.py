@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra, MocapError
 
 RunPath = Annotated[Path, typer.Argument(metavar="OUT", help="Output folder of a run.")]
 
@@ -121,9 +121,10 @@ def _open_viewer(scene: Path) -> None:
     from importlib.util import find_spec
 
     if find_spec("rerun") is None:
-        raise MocapError(
+        raise MissingExtra(
             "the Rerun viewer is not installed",
+            "view",
+            otherwise="open the file in a Rerun viewer of your own",
             path=scene,
-            remedy="pip install 'mocap[view]', or open the file in a Rerun viewer of your own",
         )
     subprocess.Popen([sys.executable, "-m", "rerun", str(scene)], start_new_session=True)

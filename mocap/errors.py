@@ -1,8 +1,11 @@
-"""The one error class of the project: what went wrong, where, and what to do about it."""
+"""Errors that a user can mend: what went wrong, where, and what to do about it."""
 
 from __future__ import annotations
 
 from pathlib import Path
+
+DISTRIBUTION = "mocap-volumes"
+"""Name of the project on a package index; `mocap` is another project there. The import name is mocap."""
 
 
 class MocapError(Exception):
@@ -42,3 +45,17 @@ class MocapError(Exception):
         if self.remedy:
             text += f" Remedy: {self.remedy.rstrip('.')}."
         return text
+
+
+class MissingExtra(MocapError):
+    """An optional package is not installed.
+
+    message : what cannot be done.  extra : key of `[project.optional-dependencies]` that brings the package.
+    otherwise : what can be done without it, after "or".
+    """
+
+    def __init__(
+        self, message: str, extra: str, *, otherwise: str = "", path: Path | str | None = None
+    ) -> None:
+        remedy = f'pip install "{DISTRIBUTION}[{extra}]"'
+        super().__init__(message, remedy=f"{remedy}, or {otherwise}" if otherwise else remedy, path=path)

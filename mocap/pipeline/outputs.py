@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, cones_of, skeleton_of
 from mocap.data import Hull
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra, MocapError
 from mocap.io import export
 from mocap.io._files import writing
 from mocap.io.store import StageStore
@@ -113,10 +113,8 @@ def write_outputs(
     for i, (name, write) in enumerate(steps):
         try:
             write()
-        except MocapError as error:
-            if "pip install" not in error.remedy:
-                raise
-            left_out.append(f"{name} was left out: {error}")  # an optional extra is missing
+        except MissingExtra as error:
+            left_out.append(f"{name} was left out: {error}")
         progress("report", i, len(steps) + 1)
     if left_out:
         object.__setattr__(result, "warnings", (*result.warnings, *dict.fromkeys(left_out)))

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap.data import Motion, Tracks
-from mocap.errors import MocapError
+from mocap.errors import DISTRIBUTION, MocapError
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline import stages
@@ -394,7 +394,7 @@ def versions() -> dict[str, str]:
     found = {"python": platform.python_version(), "platform": sys.platform}
     for name in ("mocap", "numpy", "scipy", "numba", "opencv-python-headless", "zarr"):
         try:
-            found[name] = version(name)
+            found[name] = version(DISTRIBUTION if name == "mocap" else name)
         except PackageNotFoundError:
             found[name] = "not installed"
     return found

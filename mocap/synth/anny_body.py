@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra
 from mocap.synth.body import Body
 from mocap.synth.figure import JOINT, JOINTS, PARENTS, SIDES, Figure, check_person, rotation_about
 from mocap.synth.motions.kit import hinged_frames
@@ -67,9 +67,7 @@ def _model() -> Any:
     try:
         import anny
     except ImportError as error:
-        raise MocapError(
-            "bodies of the kind anny need the optional package anny", remedy='pip install "mocap[anny]"'
-        ) from error
+        raise MissingExtra("bodies of the kind anny need the optional package anny", "anny") from error
     return anny.Anny(rig="anny", topology="anny")
 
 

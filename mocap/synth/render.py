@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Camera
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra
 from mocap.synth._render_kernels import project_to_map
 from mocap.synth.rooms import Room
 
@@ -37,9 +37,7 @@ def require_embree() -> Any:
     try:
         from embreex import mesh_construction, rtcore_scene
     except ImportError as error:
-        raise MocapError(
-            "rendering needs the optional package embreex", remedy='pip install "mocap[synth]"'
-        ) from error
+        raise MissingExtra("rendering needs the optional package embreex", "synth") from error
     return rtcore_scene, mesh_construction
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import BONES, LANDMARKS, Camera, CameraRig, Hull, Tracks
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra, MocapError
 from mocap.view.overlay import SIDE_COLOURS, BodyPart, person_colour, side_of_landmark
 
 Array = NDArray[np.float64]
@@ -184,9 +184,10 @@ def _import_rerun(path: Path) -> Any:
     try:
         import rerun
     except ImportError as error:
-        raise MocapError(
+        raise MissingExtra(
             "the 3D scene needs rerun-sdk, which is not installed",
-            remedy="install the extra with `pip install 'mocap[view]'`, or leave the scene out",
+            "view",
+            otherwise="leave the scene out",
             path=path,
         ) from error
     return rerun

@@ -167,7 +167,7 @@ def test_no_scheduler_at_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_without_dask_the_remedy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MocapError, match=r"pip install 'mocap\[cluster\]', or use --workers 0"):
+    with pytest.raises(MocapError, match=r'pip install "mocap-volumes\[cluster\]", or use --workers 0'):
         run(jobs(1), tmp_path, Engine(n_workers=1))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.data import LANDMARKS, Motion
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra, MocapError
 from mocap.io.export._common import check_fps, gap_free, replacing
 
 _BLOCK_BYTES = 512  # C3D files are made of blocks
@@ -29,10 +29,8 @@ def write_c3d(path: Path, motion: Motion, fps: float) -> None:
     try:
         import ezc3d
     except ImportError as error:
-        raise MocapError(
-            "writing C3D needs the package ezc3d, which is not installed",
-            remedy='install it with: pip install "mocap[export]"',
-            path=path,
+        raise MissingExtra(
+            "writing C3D needs the package ezc3d, which is not installed", "export", path=path
         ) from error
     if len(motion) == 0:
         raise MocapError(

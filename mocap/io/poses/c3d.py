@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra, MocapError
 from mocap.io.poses.table import PoseFile, PoseTable, without_zeros, zero_note
 from mocap.io.poses.trc import person_in_name
 
@@ -33,10 +33,8 @@ def read_c3d(path: Path) -> PoseFile:
     try:
         import ezc3d
     except ImportError as error:
-        raise MocapError(
-            "reading C3D needs the package ezc3d, which is not installed",
-            remedy='install it with: pip install "mocap[export]"',
-            path=path,
+        raise MissingExtra(
+            "reading C3D needs the package ezc3d, which is not installed", "export", path=path
         ) from error
     try:
         c3d = ezc3d.c3d(str(path))

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra, MocapError
 from mocap.io._files import atomic_text, writing
 
 Work = Callable[[dict[str, Any]], dict[str, Any]]
@@ -297,9 +297,10 @@ def _connect(engine: Engine, n_jobs: int, stack: ExitStack) -> Any:
         from distributed import Client, LocalCluster
         from distributed.system import MEMORY_LIMIT
     except ImportError as error:
-        raise MocapError(
+        raise MissingExtra(
             "sweeps and batches need dask.distributed",
-            remedy="pip install 'mocap[cluster]', or use --workers 0 to run in this process, one cell at a time",
+            "cluster",
+            otherwise="use --workers 0 to run in this process, one cell at a time",
         ) from error
     # Connections that end while a cluster closes are no news for the user.
     for name in ("distributed", "distributed.comm", "distributed.client", "distributed.nanny"):
