@@ -46,7 +46,7 @@ def agreement(clip: HullClip, scene: str, spread: str, n_points: int, seed: int)
     from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 
     std_m, std_rad = SPREADS[spread]
-    std = np.where(np.arange(clip.body.layout.n_columns) < 3, std_m, std_rad)
+    std = np.where(clip.body.is_position, std_m, std_rad)
     rng = np.random.default_rng(seed)
     rows = []
     for i in np.linspace(0, len(clip.volumes) - 1, _N_POSES).astype(int):

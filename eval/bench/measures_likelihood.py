@@ -120,7 +120,7 @@ def likelihood_limb_us() -> float:
     """One arm's exact log-likelihood while the rest of the body holds still, in a batch of 600."""
     problem, truth = body_scene().voxels, body_scene().truth
     limb = limbs_of(problem.layout)[1]
-    columns = np.flatnonzero(np.isin(problem.layout.part_of_column, limb))
+    columns = problem.layout.columns_of(limb)
     states = np.tile(truth, (_N_PARTICLES, 1))
     states[:, columns] += np.random.default_rng(_SEED).normal(0.0, 0.2, (_N_PARTICLES, len(columns)))
     value = problem.limb_log_likelihood(truth, limb)
@@ -148,7 +148,7 @@ def refine_ms() -> float:
     from mocap.filters import RefineSettings, refine
 
     s = body_scene()
-    is_position = np.arange(len(s.truth)) < 3
+    is_position = s.surface.body.is_position
     settings = RefineSettings(prior_std=np.where(is_position, 0.1, 0.5))
     noise = np.random.default_rng(_SEED).normal(size=(8, len(s.truth))) * np.where(is_position, 0.02, 0.05)
     layout = s.surface.layout

@@ -23,10 +23,9 @@ def _filter_fps(n_layers: int, n_particles: int, *, with_refinement: bool, is_fa
     scene = body_scene()
     kind: Literal["exact", "fast"] = "fast" if is_fast else "exact"
     problem = replace(scene.voxels, settings=replace(scene.voxels.settings, kind=kind))
-    n_columns = scene.voxels.layout.n_columns
     std = 0.5 * scene.voxels.body.max_speed / 25.0
     settings = ApfSettings(n_layers=n_layers, n_particles=n_particles, std=std)
-    refining = RefineSettings(prior_std=np.where(np.arange(n_columns) < 3, 0.1, 0.5))
+    refining = RefineSettings(prior_std=np.where(scene.voxels.body.is_position, 0.1, 0.5))
     start = ParticleState(np.tile(scene.truth, (n_particles, 1)), np.full(n_particles, 1.0 / n_particles))
     rng = np.random.default_rng(_SEED)
     times = []

@@ -183,8 +183,8 @@ def candidate_states(
         lowest = min(float((e[:, 2] - body.cones.radii[:, i]).min()) for i, e in enumerate((start, end)))
         for yaw in yaws:
             state = base.copy()
-            if "root_yaw" in names:
-                state[names.index("root_yaw")] = yaw
+            if body.yaw_column is not None:
+                state[body.yaw_column] = yaw
             turned = cones_of(body, state)
             middle = 0.5 * (turned[0] + turned[1])
             offset = weight @ middle / weight.sum()

@@ -80,17 +80,6 @@ def cones_of_particles(body: Body, states: Array, which: NDArray[np.bool_]) -> t
     return start, end
 
 
-def dof_moves_joint(body: Body) -> NDArray[np.bool_]:
-    """Which rotations move which joint frame, (J, n_dofs)."""
-    moves = np.zeros((len(body.joints), len(body.dof_joint)), dtype=np.bool_)
-    for j in range(len(body.joints)):
-        ancestor = j
-        while ancestor >= 0:
-            moves[j] |= body.dof_joint == ancestor
-            ancestor = int(body.parent[ancestor])
-    return moves
-
-
 def point_jacobian(
     body: Body, state: Array, joint: NDArray[np.int64], offset: Array
 ) -> tuple[Array, Array, Array]:
@@ -103,7 +92,7 @@ def point_jacobian(
     out = np.zeros((len(points), 3, body.layout.n_columns))
     out[:, :, :3] = np.eye(3)
     turn = np.cross(axes[None], points[:, None] - t[body.dof_joint][None])
-    out[:, :, body.dof_column] += (turn * dof_moves_joint(body)[joint][:, :, None]).transpose(0, 2, 1)
+    out[:, :, body.dof_column] += (turn * body.moves[joint][:, :, None]).transpose(0, 2, 1)
     return points, out, R
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Literal
@@ -148,6 +149,39 @@ class Body:
     def chain(self) -> tuple[NDArray[np.generic], ...]:
         """The arrays that the kinematics kernels take, in their order."""
         return self.parent, self.offset, self.dof_joint, self.dof_axis, self.dof_column
+
+    @cached_property
+    def is_position(self) -> NDArray[np.bool_]:
+        """Columns of the state that are the root's place, m, (D,); all others are angles, rad."""
+        return np.arange(self.layout.n_columns) < len(_ROOT_COLUMNS)
+
+    @cached_property
+    def yaw_column(self) -> int | None:
+        """Column that turns the whole body about the vertical: the first circular one; None where nothing turns."""
+        columns = np.flatnonzero(self.layout.is_circular)
+        return int(columns[0]) if len(columns) else None
+
+    @cached_property
+    def moves(self) -> NDArray[np.bool_]:
+        """Which rotations move which joint frame, (J, n_dofs)."""
+        moves = np.zeros((len(self.joints), len(self.dof_joint)), dtype=np.bool_)
+        for j in range(len(self.joints)):
+            ancestor = j
+            while ancestor >= 0:
+                moves[j] |= self.dof_joint == ancestor
+                ancestor = int(self.parent[ancestor])
+        return moves
+
+    @cached_property
+    def part_of_joint(self) -> NDArray[np.int64]:
+        """The last part with flesh on every joint, (J,); the root part for a joint without flesh."""
+        found = dict(zip(self.cones.joint.tolist(), self.cones.part.tolist(), strict=True))
+        return np.array([found.get(j, 0) for j in range(len(self.joints))], dtype=np.int64)
+
+    @property
+    def landmark_parts(self) -> NDArray[np.int64]:
+        """The part that carries every landmark, (15,)."""
+        return self.part_of_joint[self.landmark_joint]
 
 
 def body_presets() -> tuple[str, ...]:

@@ -137,7 +137,7 @@ def limbs_on(limbs: Sequence[Limb], layout: StateLayout) -> tuple[LimbIndices, .
             if part in seen:
                 raise ValueError(f"{where}: part {layout.parts[part]!r} comes twice")
             seen.add(part)
-        columns = tuple(np.flatnonzero(np.isin(layout.part_of_column, unit)) for unit in units)
+        columns = tuple(layout.columns_of(unit) for unit in units)
         found.append(LimbIndices(limb.name, tuple(units), columns))
     return tuple(found)
 

@@ -54,9 +54,9 @@ class StateLayout:
     def n_parts(self) -> int:
         return len(self.parts)
 
-    def columns_of(self, part: int) -> NDArray[np.int64]:
-        """Columns that belong to one part."""
-        return np.flatnonzero(self.part_of_column == part)
+    def columns_of(self, parts: int | Sequence[int]) -> NDArray[np.int64]:
+        """Columns that belong to one part, or to any of several, ascending."""
+        return np.flatnonzero(np.isin(self.part_of_column, parts))
 
 
 def limbs_of(layout: StateLayout) -> list[list[int]]:

@@ -187,6 +187,23 @@ def test_columns_belong_to_the_first_part_they_move() -> None:
         assert layout.parts[layout.part_of_column[i]] == part
 
 
+@pytest.mark.parametrize("name", PRESETS)
+def test_positions_come_first_and_one_column_turns_the_whole_body(name: str) -> None:
+    b = body(name)
+    assert np.flatnonzero(b.is_position).tolist() == [0, 1, 2]
+    assert b.yaw_column == b.layout.names.index("root_yaw")
+
+
+def test_landmarks_are_on_the_part_that_carries_them() -> None:
+    b = body("anthropometric")
+    parts = [b.layout.parts[p] for p in b.landmark_parts]
+    assert len(parts) == len(LANDMARKS)
+    assert parts[LANDMARKS.index("left_wrist")] == "left_forearm"
+    assert parts[LANDMARKS.index("right_ankle")] == "right_shank"
+    assert parts[LANDMARKS.index("pelvis")] == "torso"
+    assert len(b.part_of_joint) == len(b.joints)
+
+
 def test_height_must_be_a_length() -> None:
     model = load_body_model("thesis")
     for height in (0.0, -1.7, float("nan"), float("inf")):

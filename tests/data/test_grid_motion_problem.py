@@ -113,6 +113,8 @@ def test_layout_names_columns_and_parts() -> None:
     assert layout().n_columns == 4
     assert layout().n_parts == 2
     assert layout().columns_of(1).tolist() == [2, 3]
+    assert layout().columns_of([0, 1]).tolist() == [0, 1, 2, 3]
+    assert layout().columns_of(()).tolist() == []
     for changes, message in (
         ({"lower": np.zeros(3)}, "lower has shape"),
         ({"upper": np.full(4, -2.0)}, "above its upper"),

@@ -89,7 +89,7 @@ def partial_of(layout: StateLayout, n: int, n_copied: int, seed: int) -> tuple[P
 
 
 def rows_of(layout: StateLayout, particles: np.ndarray, parts: list[int]) -> Counter:
-    columns = np.flatnonzero(np.isin(layout.part_of_column, parts))
+    columns = layout.columns_of(parts)
     return Counter(map(tuple, particles[:, columns].tolist()))
 
 

@@ -181,7 +181,7 @@ def test_limb_by_limb_is_the_same_as_the_whole(coarse_flesh: Flesh, standing: np
     colours = dressed(coarse_flesh, standing, appearance)
     layout = coarse_flesh.body.layout
     limb = [k for k, p in enumerate(layout.parts) if p in ("right_upper_arm", "right_forearm")]
-    columns = np.flatnonzero(np.isin(layout.part_of_column, limb))
+    columns = layout.columns_of(limb)
     particles = np.tile(standing, (37, 1))
     rng = np.random.default_rng(1)
     particles[:, columns] = rng.uniform(layout.lower[columns], layout.upper[columns], (37, len(columns)))

@@ -6,7 +6,6 @@ from flesh_voxels import Flesh
 from scipy.spatial import cKDTree
 
 from mocap.body import Body, joint_transforms, neutral_state
-from mocap.body.kinematics import dof_moves_joint
 from mocap.likelihood.residuals import _pull_kernels as kernels
 from mocap.likelihood.residuals._surface_kernels import nearest_in_blocks, sort_into_blocks
 
@@ -31,9 +30,7 @@ def gathered(
     pulls, H, g = np.zeros((J, 7, 6)), np.zeros((D, D)), np.zeros(D)
     for x, direction, residual, j in zip(placed, n, r, joint, strict=True):
         kernels.add_pull(*x, *direction, residual, 0.7, j, pulls)
-    kernels.spread_pulls(
-        pulls, body.parent, t, axes, body.dof_joint, body.dof_column, dof_moves_joint(body), H, g
-    )
+    kernels.spread_pulls(pulls, body.parent, t, axes, body.dof_joint, body.dof_column, body.moves, H, g)
     return placed, H, g
 
 
@@ -105,7 +102,7 @@ def test_compiled_and_plain_python_agree(coarse_flesh: Flesh) -> None:
     R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
     kernels.chain_axes(posed(body), *body.chain, R, t, axes)
     D = body.layout.n_columns
-    rest = (body.parent, t, axes, body.dof_joint, body.dof_column, dof_moves_joint(body))
+    rest = (body.parent, t, axes, body.dof_joint, body.dof_column, body.moves)
     both = []
     for spread in (kernels.spread_pulls, kernels.spread_pulls.py_func):
         H, g = np.zeros((D, D)), np.zeros(D)

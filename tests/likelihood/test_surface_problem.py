@@ -8,7 +8,6 @@ from flesh_voxels import Flesh
 
 from mocap.body import Body, cones_of, joint_transforms, neutral_state
 from mocap.body._kernels import chain_axes
-from mocap.body.kinematics import dof_moves_joint
 from mocap.likelihood.residuals import HullSurface, SurfaceFitSettings, SurfaceProblem, hull_surface
 from mocap.likelihood.voxels import PackedVolume
 from mocap.pipeline.pose_problem import PersonHull, pack_volume
@@ -176,7 +175,7 @@ def test_axes_are_the_derivatives_of_the_frames(coarse_flesh: Flesh) -> None:
     R_ref, t_ref = joint_transforms(body, state[None])
     np.testing.assert_allclose(R, R_ref[0], atol=1e-12)
     np.testing.assert_allclose(t, t_ref[0], atol=1e-12)
-    moves = dof_moves_joint(body)
+    moves = body.moves
     for d in range(d_n):
         up, down = state.copy(), state.copy()
         up[body.dof_column[d]] += STEP
@@ -192,7 +191,7 @@ def test_axes_are_the_derivatives_of_the_frames(coarse_flesh: Flesh) -> None:
 
 def test_a_rotation_moves_its_joint_and_all_below(coarse_flesh: Flesh) -> None:
     body = coarse_flesh.body
-    moves = dof_moves_joint(body)
+    moves = body.moves
     waist = np.flatnonzero(body.dof_joint == body.joints.index("waist"))[0]
     moved = {body.joints[j] for j in np.flatnonzero(moves[:, waist])}
     arms = {f"{side}_{joint}" for side in ("left", "right") for joint in ("shoulder", "elbow")}

@@ -377,7 +377,7 @@ def moved_limb(flesh: Flesh, limb: list[int], n: int) -> tuple[np.ndarray, np.nd
     """A pose, and n poses that differ from it in one limb, all over its range."""
     layout = flesh.body.layout
     held = scatter(flesh, 1, 0.02, 0.2)[0]
-    columns = np.flatnonzero(np.isin(layout.part_of_column, limb))
+    columns = layout.columns_of(limb)
     particles = np.tile(held, (n, 1))
     rng = np.random.default_rng(5)
     particles[:, columns] = rng.uniform(layout.lower[columns], layout.upper[columns], (n, len(columns)))

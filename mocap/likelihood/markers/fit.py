@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body._kernels import chain_axes
-from mocap.body.kinematics import dof_moves_joint
 from mocap.body.markers import Markers, marker_positions
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
@@ -68,10 +67,6 @@ class MarkerFitProblem:
     observation: MarkerObservation
     settings: MarkerFitSettings
     matches: Matches | None = None
-    _moves: NDArray[np.bool_] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_moves", dof_moves_joint(self.body))
 
     @property
     def layout(self) -> StateLayout:
@@ -167,6 +162,6 @@ class MarkerFitProblem:
         points = np.einsum("mrc,mc->mr", R[joint], self.markers.offset) + t[joint]
         cost, information, gradient = self.pulls(points)
         add_pulls(
-            points, joint, information, gradient, t, axes, body.dof_joint, body.dof_column, self._moves, H, g
+            points, joint, information, gradient, t, axes, body.dof_joint, body.dof_column, body.moves, H, g
         )
         return cost, H, g

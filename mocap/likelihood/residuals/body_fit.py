@@ -76,7 +76,7 @@ class BodyFit:
         surface, outlines = self.surface, self.outlines
         has_outlines = outlines is not None and outlines.n_points > 0
         return (
-            (surface.body.chain, surface.moves, surface.body.cones.kernel_arrays),
+            (surface.body.chain, surface.body.moves, surface.body.cones.kernel_arrays),
             surface.kernel_arguments,
             outlines.kernel_arguments if outlines is not None and has_outlines else no_outline_arguments(),
             (

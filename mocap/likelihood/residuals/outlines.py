@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body.flesh import LookUpTable
-from mocap.body.kinematics import dof_moves_joint
 from mocap.body.model import Body
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.problem import StateLayout
@@ -233,7 +232,6 @@ class OutlineProblem:
     table: LookUpTable
     outlines: Outlines
     settings: OutlineFitSettings
-    _moves: NDArray[np.bool_] = field(init=False, repr=False)
     _flesh: Array = field(init=False, repr=False)
     _flesh_joint: NDArray[np.int64] = field(init=False, repr=False)
     _cameras: tuple[Array, Array, Array] = field(init=False, repr=False)
@@ -248,7 +246,6 @@ class OutlineProblem:
             ]
         )
         for name, value in (
-            ("_moves", dof_moves_joint(self.body)),
             ("_flesh", flesh),
             ("_flesh_joint", joint),
             ("_cameras", (np.stack([c.R for c in cameras]), np.stack([c.t for c in cameras]), intrinsics)),
@@ -296,7 +293,7 @@ class OutlineProblem:
         cost = outline_equations(
             np.ascontiguousarray(state, dtype=np.float64),
             body.chain,
-            self._moves,
+            body.moves,
             body.cones.kernel_arrays,
             *self.kernel_arguments,
             H,

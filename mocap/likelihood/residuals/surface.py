@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body.flesh import LookUpTable
-from mocap.body.kinematics import cones_of, cones_of_particles, dof_moves_joint, joint_transforms
+from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.voxels import VoxelGrid, Voxels
@@ -107,14 +107,13 @@ class SurfaceProblem:
 
     Hull surface points pull the nearest flesh whose normal agrees; flesh points in empty voxels are pulled to the
     nearest hull point; flesh points inside another part are pushed out of it. The hull contains the body, so its
-    surface lies outside the flesh: half a voxel is allowed for.  moves : (J, n_dofs), of `dof_moves_joint`.
+    surface lies outside the flesh: half a voxel is allowed for.
     """
 
     body: Body
     table: LookUpTable
     hull: HullSurface
     settings: SurfaceFitSettings
-    moves: NDArray[np.bool_] = field(init=False, repr=False)
     _points: Array = field(init=False, repr=False)
     _normals: Array = field(init=False, repr=False)
     _flesh: Array = field(init=False, repr=False)
@@ -127,7 +126,6 @@ class SurfaceProblem:
         flesh, joint, part = flesh_sample(table, self.settings.n_flesh_points)
         for name, value in (
             ("_may_meet", _parts_apart_at_rest(self.body, flesh, joint, part)),
-            ("moves", dof_moves_joint(self.body)),
             ("_points", np.ascontiguousarray(self.hull.points[::every])),
             ("_normals", np.ascontiguousarray(self.hull.normals[::every])),
             ("_flesh", flesh),
@@ -180,7 +178,7 @@ class SurfaceProblem:
         cost = surface_equations(
             np.ascontiguousarray(state, dtype=np.float64),
             body.chain,
-            self.moves,
+            body.moves,
             body.cones.kernel_arrays,
             *self.kernel_arguments,
             H,
