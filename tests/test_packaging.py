@@ -138,5 +138,5 @@ def test_the_installed_command_makes_a_session(installed: Path) -> None:
         '[rig]\nkind = "ring"\nn_cameras = 2\nsize_px = [160, 120]\n',
         "utf-8",
     )
-    run(installed, "-m", "mocap", "synth", "-o", "session", "--scene", str(scene), "--workers", "1")
+    run(installed, "-m", "mocap", "synth", "-o", "session", "--scene", str(scene), "--workers", "2")
     assert (installed / "session" / "calibration.toml").is_file()

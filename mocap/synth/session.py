@@ -307,7 +307,7 @@ def _start_workers(
         )
         # A fresh interpreter: forking a process that has used OpenCV's threads can hang.
         code = "import sys; sys.path[:0] = sys.argv[2:]; from mocap.synth import session; session.work(sys.argv[1])"
-        root = str(Path(__file__).resolve().parent.parent)
+        root = str(Path(__file__).resolve().parents[2])  # the folder that holds the package
         jobs.append(subprocess.Popen([sys.executable, "-c", code, str(job), root]))
     return jobs
 
