@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mocap.body import load_body_model, scale_body
 from mocap.data import StateLayout
-from mocap.filters import FILTERS, initial_particles, settings_for
+from mocap.filters import FILTERS, FilterBudget, filter_settings, initial_particles
 from mocap.filters.parts import part_sets
 from mocap.view.plots import LINE_COLOURS, LINE_STYLES
 
@@ -95,15 +95,13 @@ def draw_posteriors(ax: Any) -> None:
     exact = np.sqrt(precision / (2 * np.pi)) * np.exp(-0.5 * precision * (x - mean) ** 2)
     ax.fill_between(x, exact, color="#d9dde2", label="posterior")
     for k, name in enumerate(("pfcr", "sbps")):
-        settings = settings_for(
-            name,
-            layout=problem.layout,
-            std=np.array([0.0, STD, STD, STD]),
-            n_particles=N_PARTICLES,
-            n_layers=1,
+        settings = filter_settings(
+            FilterBudget(name, n_particles=N_PARTICLES, n_layers=1),
+            problem.layout,
+            np.array([0.0, STD, STD, STD]),
         )
         start = initial_particles(problem, np.zeros(4), 2)
-        state, _ = FILTERS[name](problem, start, settings, rng=np.random.default_rng(0))
+        state, _ = FILTERS[name].step(problem, start, settings, rng=np.random.default_rng(0))
         density, edges = np.histogram(state.particles[:, 1], bins=x, weights=state.weights, density=True)
         ax.plot(0.5 * (edges[1:] + edges[:-1]), density, color=LINE_COLOURS[k], ls=LINE_STYLES[k], label=name)
     ax.set_title("One of three siblings of a known parent", fontsize=10)

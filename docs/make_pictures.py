@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 
 from mocap.body import joint_transforms, landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.data import LANDMARKS, Camera, Hull, VoxelGrid
-from mocap.filters import ApfSettings, apf_step, initial_particles, refine
+from mocap.filters import initial_particles
+from mocap.filters.apf import ApfSettings, apf_step
+from mocap.filters.refine import refine
 from mocap.foreground import Segmenter, learn_background
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore

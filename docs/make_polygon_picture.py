@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.filters import FILTERS, initial_particles, settings_for
+from mocap.filters import FILTERS, FilterBudget, filter_settings, initial_particles
 from mocap.likelihood.polygons import random_walk_std
 from mocap.synth.polygons import (
     SMALL,
@@ -44,12 +44,12 @@ def tile(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 def tracked(scene: PolygonScene, frame: int) -> NDArray[np.uint8]:
     """The last picture with the estimate of SBPS, 300 particles, in white."""
     std = random_walk_std(scene.tree.layout)
-    settings = settings_for("sbps", layout=scene.tree.layout, std=std, n_particles=300, n_layers=1)
+    settings = filter_settings(FilterBudget("sbps", n_particles=300, n_layers=1), scene.tree.layout, std)
     rng = np.random.default_rng(0)
     state = initial_particles(scene.problem(0), scene.states[0], 300)
     estimate = scene.states[0]
     for t in range(1, frame + 1):
-        state, info = FILTERS["sbps"](scene.problem(t), state, settings, rng=rng)
+        state, info = FILTERS["sbps"].step(scene.problem(t), state, settings, rng=rng)
         estimate = info.estimate
     return draw_outline(scene.frame(frame), scene.tree, estimate, (255, 255, 255))
 

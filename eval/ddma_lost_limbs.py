@@ -77,17 +77,10 @@ def said_lost(n_units: tuple[int, ...]) -> list[bool]:
 def filters(clip: HullClip) -> dict[str, tuple[Callable[..., Any], Any]]:
     """Name -> step and settings; 2,200 particle evaluations, scouts on top."""
     from mocap.body import load_hierarchy, load_limbs
-    from mocap.filters import (
-        ApfSettings,
-        DdmaSettings,
-        LimbSettings,
-        ShbmDdmaSettings,
-        ShbmSettings,
-        apf_step,
-        ddma_step,
-        shbm_ddma_step,
-        shbm_step,
-    )
+    from mocap.filters.apf import ApfSettings, apf_step
+    from mocap.filters.ddma import DdmaSettings, ShbmDdmaSettings, ddma_step, shbm_ddma_step
+    from mocap.filters.limb_settings import LimbSettings
+    from mocap.filters.shbm import ShbmSettings, shbm_step
 
     apf = ApfSettings(n_layers=4, n_particles=550, std=clip.std)
     shbm = ShbmSettings(std=clip.std, hierarchy=load_hierarchy("model2"))

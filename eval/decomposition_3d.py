@@ -28,7 +28,7 @@ from eval.decomposition.store import RESULTS, ROOT
 from eval.decomposition.tables import LABELS, read_csv, write_csv
 from mocap.body import Body, landmarks_of
 from mocap.data.problem import ArticulatedProblem
-from mocap.filters import FILTERS, ParticleState, initial_particles, settings_for
+from mocap.filters import FILTERS, FilterBudget, ParticleState, filter_settings, initial_particles
 from mocap.metrics import point_errors
 
 Array = NDArray[np.float64]
@@ -165,8 +165,8 @@ def track_all(
             for seed in range(n_runs):
                 runs[name, budget, seed] = {
                     "rng": np.random.default_rng([seed, budget, *name.encode()]),
-                    "settings": settings_for(
-                        name, layout=layout, std=clip.std, n_particles=budget // layers, n_layers=layers
+                    "settings": filter_settings(
+                        FilterBudget(name, n_particles=budget // layers, n_layers=layers), layout, clip.std
                     ),
                     "layers": layers,
                     "states": [],
@@ -185,7 +185,9 @@ def track_all(
             )
             begun = time.perf_counter()
             try:
-                run["particles"], info = FILTERS[name](problem, particles, run["settings"], rng=run["rng"])
+                run["particles"], info = FILTERS[name].step(
+                    problem, particles, run["settings"], rng=run["rng"]
+                )
             except Exception as error:  # one failed cell must not stop the others
                 run["note"] = f"{type(error).__name__}: {error}".replace("\n", " ")[:120]
                 continue

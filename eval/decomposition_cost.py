@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import StateLayout
-from mocap.filters import FILTERS, initial_particles, settings_for
+from mocap.filters import FILTERS, FilterBudget, filter_settings, initial_particles
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def milliseconds(name: str, layout: StateLayout, n_particles: int) -> tuple[floa
     """Resampling and swapping time of the fastest frame, ms."""
     problem = Cheap(layout)
     std = np.full(layout.n_columns, 0.1)
-    settings = settings_for(name, layout=layout, std=std, n_particles=n_particles, n_layers=1)
+    settings = filter_settings(FilterBudget(name, n_particles=n_particles, n_layers=1), layout, std)
     state = initial_particles(problem, np.zeros(layout.n_columns), n_particles)
     rng = np.random.default_rng(0)
     found = []
@@ -87,7 +87,7 @@ def milliseconds(name: str, layout: StateLayout, n_particles: int) -> tuple[floa
         time, "perf_counter", time.thread_time
     ):  # other work on the machine must not count
         for _ in range(N_FRAMES):
-            state, info = FILTERS[name](problem, state, settings, rng=rng)
+            state, info = FILTERS[name].step(problem, state, settings, rng=rng)
             found.append((info.seconds["resampling"], info.seconds.get("swapping", 0.0)))
     resampling, swapping = 1000 * np.array(found)[1:].min(axis=0)
     return float(resampling), float(swapping)

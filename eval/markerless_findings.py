@@ -117,7 +117,7 @@ def measure(clip: HullClip, variant: Variant, scene: str, masks: str, seed: int)
     import time
 
     from mocap.body import landmarks_of
-    from mocap.filters import ApfSettings, apf_step
+    from mocap.filters.apf import ApfSettings, apf_step
     from mocap.likelihood.voxels import VoxelLikelihoodSettings
     from mocap.metrics import point_scores
 

@@ -45,7 +45,8 @@ PUBLISHED = {
 def filters(clip: HullClip) -> dict[str, tuple[Callable[..., Any], Any]]:
     """Name -> step and settings; all spend 2,200 particle evaluations except `apf 6x600` (3,600)."""
     from mocap.body import load_hierarchy
-    from mocap.filters import ApfSettings, ShbmSettings, apf_step, shbm_step
+    from mocap.filters.apf import ApfSettings, apf_step
+    from mocap.filters.shbm import ShbmSettings, shbm_step
 
     found: dict[str, tuple[Callable[..., Any], Any]] = {
         "apf": (apf_step, ApfSettings(n_layers=4, n_particles=550, std=clip.std)),

@@ -145,7 +145,7 @@ def likelihood_over_numpy() -> float:
 @measure("refine_ms", unit="ms", better="lower")
 def refine_ms() -> float:
     """One refinement as the pose stage calls it, from starts 2 cm and 0.05 rad off the truth; mean of 8 starts."""
-    from mocap.filters import RefineSettings, refine
+    from mocap.filters.refine import RefineSettings, refine
 
     s = body_scene()
     is_position = s.surface.body.is_position

@@ -83,7 +83,8 @@ def _median_s(function: Callable[[], object], n_rounds: int) -> float:
 
 
 def _filter_fps(reprojection_weight: float) -> float:
-    from mocap.filters import ApfSettings, apf_step, initial_particles
+    from mocap.filters import initial_particles
+    from mocap.filters.apf import ApfSettings, apf_step
     from mocap.likelihood.markers import MarkerLikelihoodSettings, MarkerProblem, observe
 
     s = marker_scene()

@@ -18,7 +18,9 @@ _SEED = 5
 
 
 def _filter_fps(n_layers: int, n_particles: int, *, with_refinement: bool, is_fast: bool = False) -> float:
-    from mocap.filters import ApfSettings, ParticleState, RefineSettings, apf_step, refine
+    from mocap.filters import ParticleState
+    from mocap.filters.apf import ApfSettings, apf_step
+    from mocap.filters.refine import RefineSettings, refine
 
     scene = body_scene()
     kind: Literal["exact", "fast"] = "fast" if is_fast else "exact"

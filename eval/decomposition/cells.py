@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from eval.decomposition.readings import (
     AbsoluteAngles,
     LogDistanceProblem,
-    settings_name,
-    step_of,
+    filter_named,
     to_relative,
 )
 from mocap.data.polygons import PolygonTree, corner_positions, object_trees
 from mocap.data.problem import ArticulatedProblem
-from mocap.filters import ParticleState, initial_particles
+from mocap.filters import FilterBudget, ParticleState, initial_particles
 from mocap.likelihood.polygons import (
     PolygonLikelihoodSettings,
     PolygonProblem,
@@ -241,19 +240,15 @@ class _Run:
         return [(self.scene.tree, np.arange(self.scene.tree.layout.n_columns))]
 
     def _track(self, tree: PolygonTree, columns: NDArray[np.int64]) -> _Track:
-        from mocap.filters.budget import settings_for
-
         run = self.cell.run
-        std = random_walk_std(tree.layout, self.world.std_px, self.world.std_rad)
-        settings = settings_for(
-            settings_name(run.filter),
-            layout=tree.layout,
-            std=std,
+        budget = FilterBudget(
+            run.filter,
             n_particles=run.n_evaluations // run.n_layers,
             n_layers=run.n_layers,
-            alpha=0.5,
             resampling=run.resampling,
         )
+        std = random_walk_std(tree.layout, self.world.std_px, self.world.std_rad)
+        settings = filter_named(run.filter).settings_from_budget(budget, tree.layout, std)
         parts = np.array([self.scene.tree.layout.parts.index(name) for name in tree.layout.parts])
         return _Track(tree, columns, parts, settings)
 
@@ -278,7 +273,9 @@ class _Run:
         problem = self._problem(track, bins)
         begun = time.perf_counter()
         state: ParticleState = self.states[i]
-        self.states[i], info = step_of(self.cell.run.filter)(problem, state, track.settings, rng=self.rng)
+        self.states[i], info = filter_named(self.cell.run.filter).step(
+            problem, state, track.settings, rng=self.rng
+        )
         self.step_s += time.perf_counter() - begun
         self.estimates[frame, track.columns] = info.estimate
         self.n_evaluations += info.n_evaluations

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data.polygons import PolygonTree
 from mocap.data.problem import ArticulatedProblem, StateLayout
-from mocap.filters import FILTERS, FilterInfo, FilterStep, ParticleState, PartitionedSettings, PsapfSettings
-from mocap.filters.partitioned import Partial, partitioned_step
+from mocap.filters import FILTERS, Filter, FilterInfo, ParticleState, Step
+from mocap.filters._swarm import SwarmSettings
+from mocap.filters.hapsopf import hapsopf_step
+from mocap.filters.partitioned import Partial, PartitionedSettings, partitioned_step
 from mocap.filters.parts import part_sets
 from mocap.filters.pfcr import combine_parts
-from mocap.filters.psapf import psapf_step, sbapf_step
+from mocap.filters.psapf import PsapfSettings, psapf_step, sbapf_step
 from mocap.filters.resampling import systematic
-from mocap.filters.swarm import SwarmSettings, hapsopf_step
 from mocap.filters.weights import normalise_log_weights
 from mocap.likelihood.polygons import PolygonProblem, polygon_scores
 
@@ -100,7 +102,7 @@ def pfcr_as_printed_step(
     return partitioned_step(problem, state, settings, sets, rng=rng, recombination=combine_as_printed)
 
 
-def _smoothing(step: Callable[..., tuple[ParticleState, FilterInfo]]) -> FilterStep:
+def _smoothing(step: Step[PsapfSettings]) -> Step[PsapfSettings]:
     """An annealed filter whose exponents stay at or below 1."""
 
     def capped(
@@ -131,24 +133,25 @@ def hapsopf_narrow_step(
     problem: ArticulatedProblem, state: ParticleState, settings: SwarmSettings, *, rng: np.random.Generator
 ) -> tuple[ParticleState, FilterInfo]:
     """HAPSOPF whose noise shrinks faster: alpha_0, which XN 6.1.2 leaves open, is 0.1 instead of 0.5."""
-    return hapsopf_step(problem, state, replace(settings, alpha=0.1), rng=rng)
+    return hapsopf_step(problem, state, replace(settings, covariance_factor=0.1), rng=rng)
 
 
-# Name -> the filter of FILTERS whose settings it takes, and its step.
-READINGS: dict[str, tuple[str, FilterStep]] = {
-    "pfcr-printed": ("pfcr", pfcr_as_printed_step),
-    "psapf-smooth": ("psapf", _smoothing(psapf_step)),
-    "sbapf-smooth": ("sbapf", _smoothing(sbapf_step)),
-    "hapsopf-drawn": ("hapsopf", hapsopf_drawn_step),
-    "hapsopf-narrow": ("hapsopf", hapsopf_narrow_step),
+def _read_otherwise(base: str, name: str, label: str, step: Step[Any]) -> Filter[Any]:
+    return replace(FILTERS[base], name=name, label=label, step=step)
+
+
+READINGS: dict[str, Filter[Any]] = {
+    one.name: one
+    for one in (
+        _read_otherwise("pfcr", "pfcr-printed", "PFCR as printed", pfcr_as_printed_step),
+        _read_otherwise("psapf", "psapf-smooth", "APF, beta <= 1", _smoothing(psapf_step)),
+        _read_otherwise("sbapf", "sbapf-smooth", "SBAPF, beta <= 1", _smoothing(sbapf_step)),
+        _read_otherwise("hapsopf", "hapsopf-drawn", "HAPSOPF, drawn", hapsopf_drawn_step),
+        _read_otherwise("hapsopf", "hapsopf-narrow", "HAPSOPF, alpha_0 = 0.1", hapsopf_narrow_step),
+    )
 }
 
 
-def step_of(name: str) -> FilterStep:
+def filter_named(name: str) -> Filter[Any]:
     """A filter of FILTERS, or another reading of one."""
-    return READINGS[name][1] if name in READINGS else FILTERS[name]
-
-
-def settings_name(name: str) -> str:
-    """The filter of FILTERS whose settings a filter takes."""
-    return READINGS[name][0] if name in READINGS else name
+    return READINGS[name] if name in READINGS else FILTERS[name]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from eval.decomposition.cells import Cell, RunKey, SceneKey
+from eval.decomposition.readings import READINGS
 from eval.decomposition.statistics import (
     Claim,
     claims_between,
@@ -19,32 +20,10 @@ from eval.decomposition.statistics import (
     share_that_holds,
 )
 from eval.decomposition.store import RESULTS, STORE, Row, run_cells
+from mocap.filters import FILTERS
 
-# What the sources call the filters of mocap.filters.FILTERS. XN's "APF" anneals part after part, its "PFAPF" the whole.
-LABELS = {
-    "sir": "PF",
-    "apf": "PFAPF",
-    "ps": "PS",
-    "parallel-ps": "parallel PS",
-    "sbps": "SBPS",
-    "psapf": "APF",
-    "sbapf": "SBAPF",
-    "pfcr": "PFCR",
-    "psipf": "PSIPF",
-    "pso": "PSO",
-    "hpso": "HPSO",
-    "apsopf": "APSOPF",
-    "chapsopf": "CHAPSOPF",
-    "hapsopf": "HAPSOPF",
-    "shbm-apf": "SHBM-APF",
-    "ddma-pf": "DDMA-PF",
-    "shbm-ddma-pf": "SHBM-DDMA-PF",
-    "pfcr-printed": "PFCR as printed",
-    "psapf-smooth": "APF, beta <= 1",
-    "sbapf-smooth": "SBAPF, beta <= 1",
-    "hapsopf-drawn": "HAPSOPF, drawn",
-    "hapsopf-narrow": "HAPSOPF, alpha_0 = 0.1",
-}
+# What the sources call the filters. XN's "APF" anneals part after part, its "PFAPF" the whole.
+LABELS = {one.name: one.label for one in (*FILTERS.values(), *READINGS.values())}
 
 _QUICK_FRAMES = 150  # both weak and strong motion
 

@@ -85,10 +85,10 @@ def next_beta(log_likelihood: Array, target: float, *, beta_max: float = BETA_MA
     return beta
 
 
-def layer_scales(n_layers: int, alpha: float) -> Array:
+def layer_scales(n_layers: int, covariance_factor: float) -> Array:
     """Factors on the standard deviation of P_0 for layers L..1 (first to run first), (n_layers,).
 
-    The covariance of the first layer is P_0; each later layer takes one more factor alpha.
+    The covariance of the first layer is P_0; each later layer takes one factor more.
     Departs from CF Eq. 3.22 as printed: see reading guide 2.
     """
-    return np.sqrt(alpha ** np.arange(n_layers, dtype=np.float64))
+    return np.sqrt(covariance_factor ** np.arange(n_layers, dtype=np.float64))

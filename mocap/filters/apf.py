@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data.problem import ArticulatedProblem
+from mocap.data.problem import ArticulatedProblem, StateLayout
+from mocap.filters.budget import FilterBudget
 from mocap.filters.estimate import weighted_mean
 from mocap.filters.layers import anneal
+from mocap.filters.record import Filter
 from mocap.filters.resampling import RESAMPLING
+from mocap.filters.state import FilterInfo, ParticleState
 from mocap.filters.weights import effective_sample_size, normalise_log_weights
 
 Array = NDArray[np.float64]
@@ -26,7 +29,7 @@ class ApfSettings:
     n_layers: int
     n_particles: int
     std: Array
-    alpha: float = 0.5
+    survival_rate: float = 0.5
     """Survival rate of every layer, and the factor on the noise covariance from layer to layer (CF 3.2.2)."""
     resampling: str = "systematic"
 
@@ -37,42 +40,6 @@ class ApfSettings:
             )
         if self.resampling not in RESAMPLING:
             raise ValueError(f"resampling {self.resampling!r} is none of {', '.join(RESAMPLING)}")
-
-
-@dataclass(frozen=True, eq=False)
-class ParticleState:
-    """What the next step needs.  particles : (N, D); weights : (N,), normalised."""
-
-    particles: Array
-    weights: Array
-
-
-@dataclass(frozen=True, eq=False)
-class FilterInfo:
-    """What people and plots need.
-
-    estimate : (D,).  best : (D,) the particle of highest likelihood over all layers; best_log_likelihood its value.
-    beta, ess : one per layer, first to run first.  n_evaluations : likelihood evaluations spent.
-    is_degenerate : every weight was zero in some layer, so that the estimate rests on the noise alone.
-    seconds : wall time by kind of work ("resampling", "swapping", "likelihood", ...) in filters that measure it.
-    observed_parts : (P,) bool, the parts that data speaks for; None when the filter does not judge.
-    """
-
-    estimate: Array
-    best: Array
-    best_log_likelihood: float
-    beta: Array
-    ess: Array
-    n_evaluations: int
-    is_degenerate: bool
-    seconds: dict[str, float] = field(default_factory=dict)
-    observed_parts: NDArray[np.bool_] | None = None
-
-
-def initial_particles(problem: ArticulatedProblem, state: Array, n: int) -> ParticleState:
-    """All particles at one state (D,), equal weights: the first layer's noise spreads them."""
-    particles = np.tile(np.clip(state, problem.layout.lower, problem.layout.upper), (n, 1))
-    return ParticleState(particles, np.full(n, 1.0 / n))
 
 
 def apf_step(
@@ -94,7 +61,7 @@ def apf_step(
         n_particles=settings.n_particles,
         n_layers=settings.n_layers,
         std=settings.std,
-        alpha=settings.alpha,
+        survival_rate=settings.survival_rate,
         resampling=settings.resampling,
         rng=rng,
     )
@@ -138,3 +105,18 @@ def sir_step(
         is_degenerate=not np.isfinite(log_mean),
     )
     return ParticleState(particles, weights), info
+
+
+def annealed_settings(budget: FilterBudget, layout: StateLayout, std: Array) -> ApfSettings:
+    """n_layers layers of n_particles; the plain filter multiplies the two itself."""
+    return ApfSettings(
+        n_layers=budget.n_layers,
+        n_particles=budget.n_particles,
+        std=std,
+        survival_rate=budget.survival_rate,
+        resampling=budget.resampling,
+    )
+
+
+SIR = Filter("sir", "PF", sir_step, annealed_settings)
+APF = Filter("apf", "PFAPF", apf_step, annealed_settings)

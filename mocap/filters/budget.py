@@ -1,24 +1,12 @@
-"""Equal budgets: settings with which every filter spends the same number of likelihood evaluations per frame."""
+"""Equal budgets: what a frame may cost and how to spend it, in plain values that every filter can read."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from mocap.data.problem import StateLayout
-from mocap.filters.apf import ApfSettings
-from mocap.filters.ddma import DdmaSettings, ShbmDdmaSettings
-from mocap.filters.partitioned import PartitionedSettings
-from mocap.filters.psapf import PsapfSettings
-from mocap.filters.psipf import PsipfSettings
-from mocap.filters.shbm import ShbmSettings, shbm_settings
-from mocap.filters.swarm import SwarmSettings
-
-Array = NDArray[np.float64]
+from mocap.data.hierarchy import Hierarchy
+from mocap.filters.limb_settings import LimbSettings
 
 
 class FilterSettings(Protocol):
@@ -28,132 +16,42 @@ class FilterSettings(Protocol):
     def n_particles(self) -> int: ...
 
 
-@dataclass(frozen=True, eq=False)
-class Budget:
-    """What a frame may cost: n_particles * n_layers evaluations of the whole state.
+@dataclass(frozen=True)
+class FilterBudget:
+    """Which filter, and n_particles * n_layers evaluations of the whole state for each of its frames.
 
-    An evaluation of one part counts as its share, 1 / P.  std : (D,) noise of one frame, m and rad.
+    An evaluation of one part counts as its share, 1 / P.  name : a key of `FILTERS`.
+    The fields after `resampling` are read by filters over scalable bodies and by those that drop limbs only.
+    Raises ValueError for impossible numbers.
+    Source: XN 4.4.4 (equal numbers of likelihood evaluations, reading guide 23).
     """
 
-    layout: StateLayout
-    std: Array
+    name: str
     n_particles: int
     n_layers: int
-    alpha: float
-    resampling: str
+    survival_rate: float = 0.5
+    """Target ESS / N of every annealing layer, and the factor on the noise covariance from layer to layer (CF 3.2)."""
+    resampling: str = "systematic"
+    hierarchy: Hierarchy | None = None
+    """The models, coarse to fine; None = by depth in the tree of parts."""
+    level_particles: tuple[int, ...] = ()
+    """Particles of each model; none = as many as the evaluations pay for."""
+    level_layers: int = 2
+    """Annealing layers of each model (CF 7.5.1)."""
+    structural_rate: float = 0.8
+    """Factor on the noise covariance from model to model (CF 7.5.1)."""
+    crossing: str = "mirror"
+    """Who gives columns to whom between models, a key of `CROSSING` (CF 7.3.2.3)."""
+    limbs: LimbSettings = field(default_factory=LimbSettings)
+    """Limbs that may be lost, and when they are."""
+
+    def __post_init__(self) -> None:
+        if self.n_particles < 2 or self.n_layers < 1:
+            raise ValueError(
+                f"n_layers >= 1 and n_particles >= 2, got {self.n_layers} and {self.n_particles}"
+            )
 
     @property
     def n_evaluations(self) -> int:
+        """Evaluations of the whole state per frame."""
         return self.n_particles * self.n_layers
-
-
-def _annealed(budget: Budget) -> ApfSettings:
-    """n_layers layers of n_particles; the plain filter multiplies the two itself."""
-    return ApfSettings(
-        n_layers=budget.n_layers,
-        n_particles=budget.n_particles,
-        std=budget.std,
-        alpha=budget.alpha,
-        resampling=budget.resampling,
-    )
-
-
-def _structural(budget: Budget) -> ShbmSettings:
-    """Two layers for each model, by depth in the tree of parts; a coarse model's particle costs its parts' share."""
-    return shbm_settings(
-        budget.layout,
-        budget.std,
-        budget.n_evaluations,
-        alpha=budget.alpha,
-        resampling=budget.resampling,
-    )
-
-
-def _adaptive(budget: Budget) -> DdmaSettings:
-    """The annealed filter's budget; scouts for lost limbs come on top."""
-    return DdmaSettings(_annealed(budget))
-
-
-def _structural_adaptive(budget: Budget) -> ShbmDdmaSettings:
-    return ShbmDdmaSettings(_structural(budget))
-
-
-def _partitioned(budget: Budget) -> PartitionedSettings:
-    """Every particle is scored once per part, which makes one evaluation: n_particles * n_layers particles."""
-    return PartitionedSettings(n_particles=budget.n_evaluations, std=budget.std, resampling=budget.resampling)
-
-
-def _annealed_partitioned(budget: Budget) -> PsapfSettings:
-    """Every particle is scored n_layers times per part.  Source: XN 4.4.4, where n_layers is L + 1."""
-    return PsapfSettings(
-        n_layers=budget.n_layers,
-        n_particles=budget.n_particles,
-        std=budget.std,
-        alpha=budget.alpha,
-        resampling=budget.resampling,
-    )
-
-
-def _intervals(budget: Budget) -> PsipfSettings:
-    """n_particles * n_layers placements of every part; as many particles are kept as can try 27 each: a joint with
-    three angles gets three values in each of them."""
-    n = budget.n_evaluations
-    return PsipfSettings(n_particles=n, std=budget.std, n_kept=max(n // 27, 1))
-
-
-def _swarm(budget: Budget) -> SwarmSettings:
-    """One draw and n_layers - 1 moves of n_particles, but at least one move: a swarm of one layer is two of half."""
-    n_iterations = max(budget.n_layers - 1, 1)
-    return SwarmSettings(
-        n_particles=max(budget.n_evaluations // (n_iterations + 1), 2),
-        n_iterations=n_iterations,
-        std=budget.std,
-        alpha=budget.alpha,
-        resampling=budget.resampling,
-    )
-
-
-# How each filter of FILTERS spends a budget.
-SETTINGS: dict[str, Callable[[Budget], FilterSettings]] = {
-    "sir": _annealed,
-    "apf": _annealed,
-    "shbm-apf": _structural,
-    "ddma-pf": _adaptive,
-    "shbm-ddma-pf": _structural_adaptive,
-    "ps": _partitioned,
-    "parallel-ps": _partitioned,
-    "sbps": _partitioned,
-    "sbapf": _annealed_partitioned,
-    "pfcr": _partitioned,
-    "psapf": _annealed_partitioned,
-    "psipf": _intervals,
-    "pso": _swarm,
-    "hpso": _swarm,
-    "apsopf": _swarm,
-    "chapsopf": _swarm,
-    "hapsopf": _swarm,
-}
-
-
-def settings_for(
-    name: str,
-    *,
-    layout: StateLayout,
-    std: Array,
-    n_particles: int,
-    n_layers: int,
-    alpha: float = 0.5,
-    resampling: str = "systematic",
-) -> FilterSettings:
-    """Settings of a filter that spends about n_particles * n_layers evaluations of the whole state per frame.
-
-    std : (D,) noise of one frame, m and rad. Raises ValueError for an unknown name or impossible numbers.
-    Source: XN 4.4.4 (equal numbers of likelihood evaluations, reading guide 23).
-    """
-    if name not in SETTINGS:
-        raise ValueError(f"filter {name!r} is none of {', '.join(SETTINGS)}")
-    if n_particles < 2 or n_layers < 1:
-        raise ValueError(f"n_layers >= 1 and n_particles >= 2, got {n_layers} and {n_particles}")
-    if std.shape != (layout.n_columns,):
-        raise ValueError(f"std has shape {std.shape}, expected ({layout.n_columns},)")
-    return SETTINGS[name](Budget(layout, std, n_particles, n_layers, alpha, resampling))

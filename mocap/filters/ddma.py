@@ -7,50 +7,31 @@ the source. Problems without voxels (no `occupancy`) are judged by the spread of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data.hierarchy import Limb, LimbIndices, limbs_on, tree_limbs
-from mocap.data.problem import ArticulatedProblem, OccupancyProblem
+from mocap.data.hierarchy import LimbIndices, limbs_on, tree_limbs
+from mocap.data.problem import ArticulatedProblem, OccupancyProblem, StateLayout
 from mocap.filters.annealing import layer_scales
-from mocap.filters.apf import ApfSettings, FilterInfo, ParticleState
+from mocap.filters.apf import ApfSettings, annealed_settings
+from mocap.filters.budget import FilterBudget
 from mocap.filters.estimate import weighted_mean
 from mocap.filters.layers import Layers, anneal
+from mocap.filters.limb_settings import LimbSettings
+from mocap.filters.record import Filter
 from mocap.filters.resampling import RESAMPLING
-from mocap.filters.shbm import ShbmSettings, shbm_info, structural_layers, structural_noise
+from mocap.filters.shbm import (
+    ShbmSettings,
+    shbm_info,
+    structural_layers,
+    structural_noise,
+    structural_settings,
+)
+from mocap.filters.state import FilterInfo, ParticleState
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class LimbSettings:
-    """When a limb is lost and found again, and how its scout searches.
-
-    limbs : the unitive model; None = every branch of the tree of parts, as a whole.
-    """
-
-    limbs: tuple[Limb, ...] | None = None
-    lost_std_rad: float = np.deg2rad(15.0)
-    """All angles of a lost limb spread more than this over the particles (reading guide 15)."""
-    lost_occupancy: float = 0.05
-    """The flesh of a lost limb's mean pose lies in occupied voxels to a smaller share than this."""
-    found_std_rad: float = np.deg2rad(5.0)
-    found_occupancy: float = 0.7
-    own_data: bool = False
-    """Count only flesh in occupied voxels that no other tracked part holds: a limb that has sunk into the trunk has
-    data, but none of its own. False as published."""
-    lost_spread_share: float | None = None
-    """A lost limb's angles spread more than this share of what the filter's noise alone would give, instead of more
-    than lost_std_rad, which is beyond the reach of small noise. None as published."""
-    scout_particles: int = 120
-    scout_layers: int = 12
-    """Enough to close in from a limb's whole range in four angles: 0.3^(12 / 4) of it is 5 degrees."""
-    scout_std_rad: float = np.deg2rad(60.0)
-    """Noise of the scout's first layer; the particles before it lie anywhere in the limb's range."""
-    scout_alpha: float = 0.3
-    """Survival rate of the scout's layers, and the factor on its noise covariance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +39,7 @@ class DdmaSettings:
     """apf : the filter of the limbs that are there.  limbs : when they go and come."""
 
     apf: ApfSettings
-    limbs: LimbSettings = LimbSettings()
+    limbs: LimbSettings = field(default_factory=LimbSettings)
 
     @property
     def n_particles(self) -> int:
@@ -70,7 +51,7 @@ class ShbmDdmaSettings:
     """shbm : the filter of the limbs that are there.  limbs : when they go and come."""
 
     shbm: ShbmSettings
-    limbs: LimbSettings = LimbSettings()
+    limbs: LimbSettings = field(default_factory=LimbSettings)
 
     @property
     def n_particles(self) -> int:
@@ -125,7 +106,7 @@ def ddma_step(
         n_particles=apf.n_particles,
         n_layers=apf.n_layers,
         std=np.where(np.isin(layout.part_of_column, absent), 0.0, apf.std),
-        alpha=apf.alpha,
+        survival_rate=apf.survival_rate,
         resampling=apf.resampling,
         parts=present,
         rng=rng,
@@ -139,7 +120,7 @@ def ddma_step(
         n_evaluations=round(apf.n_particles * apf.n_layers * len(present) / layout.n_parts),
         is_degenerate=layers.is_degenerate,
     )
-    noise = apf.std * np.sqrt(np.sum(layer_scales(apf.n_layers, apf.alpha) ** 2))
+    noise = apf.std * np.sqrt(np.sum(layer_scales(apf.n_layers, apf.survival_rate) ** 2))
     return _lose_and_find(problem, layers, info, limbs, n_units, noise, settings.limbs, rng=rng)
 
 
@@ -307,7 +288,7 @@ def _scout(
         n_particles=n,
         n_layers=settings.scout_layers,
         std=std,
-        alpha=settings.scout_alpha,
+        survival_rate=settings.scout_survival_rate,
         resampling="systematic",
         parts=parts,
         given=[p for p in range(layout.n_parts) if p not in absent and p not in parts],
@@ -342,3 +323,31 @@ def _units_in(state: ParticleState, limbs: Sequence[LimbIndices]) -> tuple[int, 
 
 def _absent_parts(limbs: Sequence[LimbIndices], n_units: Sequence[int]) -> list[int]:
     return [p for limb, n in zip(limbs, n_units, strict=True) for unit in limb.parts[n:] for p in unit]
+
+
+def adaptive_settings(budget: FilterBudget, layout: StateLayout, std: Array) -> DdmaSettings:
+    """The annealed filter's budget; scouts for lost limbs come on top."""
+    return DdmaSettings(annealed_settings(budget, layout, std), _fitting_limbs(budget, layout))
+
+
+def structural_adaptive_settings(budget: FilterBudget, layout: StateLayout, std: Array) -> ShbmDdmaSettings:
+    """The structural filter's budget; scouts for lost limbs come on top."""
+    return ShbmDdmaSettings(structural_settings(budget, layout, std), _fitting_limbs(budget, layout))
+
+
+def _fitting_limbs(budget: FilterBudget, layout: StateLayout) -> LimbSettings:
+    """The budget's limbs; ValueError when they are not limbs of this layout."""
+    if budget.limbs.limbs is not None:
+        limbs_on(budget.limbs.limbs, layout)
+    return budget.limbs
+
+
+DDMA_PF = Filter("ddma-pf", "DDMA-PF", ddma_step, adaptive_settings, uses_limbs=True)
+SHBM_DDMA_PF = Filter(
+    "shbm-ddma-pf",
+    "SHBM-DDMA-PF",
+    shbm_ddma_step,
+    structural_adaptive_settings,
+    uses_hierarchy=True,
+    uses_limbs=True,
+)

@@ -43,7 +43,7 @@ def anneal(
     n_particles: int,
     n_layers: int,
     std: Array,
-    alpha: float,
+    survival_rate: float,
     resampling: str,
     parts: Sequence[int] | None = None,
     given: Sequence[int] = (),
@@ -52,7 +52,7 @@ def anneal(
     """Run particles (M, D) with their weights (M,) through n_layers annealing layers of n_particles.
 
     weights : None for particles that were just resampled; the first layer then takes them as they are.
-    std : (D,) noise of the first layer.  alpha : survival rate of every layer, and the factor on the noise covariance.
+    std : (D,) noise of the first layer.  survival_rate : of every layer, and the factor on the noise covariance.
     parts, given : as in `ArticulatedProblem.log_likelihood`; None = all.
     Source: CF Alg. 3, Eq. 3.18-3.22.
     """
@@ -61,12 +61,12 @@ def anneal(
     best, best_value = particles[0], -np.inf
     is_degenerate = False
     log_likelihood = np.zeros(0)
-    for scale in layer_scales(n_layers, alpha):
+    for scale in layer_scales(n_layers, survival_rate):
         if weights is not None:
             particles = particles[resample(weights, n_particles, rng=rng)]
         particles = problem.propagate(particles, std * scale, rng=rng)
         log_likelihood = problem.log_likelihood(particles, parts, given).sum(axis=1)
-        beta = next_beta(log_likelihood, alpha)
+        beta = next_beta(log_likelihood, survival_rate)
         weights, log_mean = normalise_log_weights(annealed(log_likelihood, beta))
         is_degenerate |= not np.isfinite(log_mean)
         betas.append(beta)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from mocap.data.problem import ArticulatedProblem, StateLayout
 from mocap.filters._kernels import exchange_kernel
 from mocap.filters.annealing import BETA_MAX, annealed, layer_scales, next_beta
-from mocap.filters.apf import FilterInfo, ParticleState
+from mocap.filters.budget import FilterBudget
 from mocap.filters.estimate import weighted_mean
 from mocap.filters.parts import columns_in, owners, part_scores, require_parts
 from mocap.filters.resampling import RESAMPLING
+from mocap.filters.state import FilterInfo, ParticleState
 from mocap.filters.swapping import placements
 from mocap.filters.timing import Stopwatch
 from mocap.filters.weights import effective_sample_size, normalise_log_weights
@@ -104,6 +105,11 @@ class _Tally:
         self.ess.append(effective_sample_size(weights))
 
 
+def partitioned_settings(budget: FilterBudget, layout: StateLayout, std: Array) -> PartitionedSettings:
+    """Every particle is scored once per part, which makes one evaluation: n_particles * n_layers particles."""
+    return PartitionedSettings(n_particles=budget.n_evaluations, std=std, resampling=budget.resampling)
+
+
 # (layout, particles with the weights of a set, parts of the set, resampling scheme, rng) -> particles
 Recombination = Callable[..., Partial]
 
@@ -118,15 +124,15 @@ def partitioned_step(
     recombination: Recombination | None = None,
     counts_as: str = "swapping",
     n_layers: int = 1,
-    alpha: float = 0.5,
+    survival_rate: float = 0.5,
     beta_max: float = BETA_MAX,
 ) -> tuple[ParticleState, FilterInfo]:
     """One frame: for every set of parts resample, propagate its columns, score it, and recombine.
 
     sets : indices of the parts that are processed together, parents before children. recombination : exchanges
-    parts between the weighted particles of a set; counts_as : the name of its time in `seconds`. n_layers, alpha,
-    beta_max : annealing inside every set; the last layer's weights are the likelihood itself. The particles come back
-    weighted: the next frame resamples them.
+    parts between the weighted particles of a set; counts_as : the name of its time in `seconds`. n_layers,
+    survival_rate, beta_max : annealing inside every set; the last layer's weights are the likelihood itself. The
+    particles come back weighted: the next frame resamples them.
     `beta` and `ess` have one entry for each layer of each set; `best` counts every part as it was scored when placed.
     Source: XN Alg. 3.1, Eq. 3.1, 4.2-4.3.
     """
@@ -138,12 +144,12 @@ def partitioned_step(
     partial = Partial(state.particles, state.weights, nothing, nothing.astype(np.int64))
     done: list[int] = []
     for parts in sets:
-        scales = layer_scales(n_layers, alpha)
+        scales = layer_scales(n_layers, survival_rate)
         for layer, scale in enumerate(scales):
             with tally.watch.of("resampling"):
                 partial = partial.take(resample(partial.weights, n, rng=rng))
             partial = _placed(problem, partial, parts, done, settings.std * scale, tally, rng=rng)
-            survival = alpha if layer + 1 < n_layers else None
+            survival = survival_rate if layer + 1 < n_layers else None
             partial = _weighed(partial, parts, survival, beta_max, tally)
         if recombination is not None:
             with tally.watch.of(counts_as):

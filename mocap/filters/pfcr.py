@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.data.problem import ArticulatedProblem, StateLayout
-from mocap.filters.apf import FilterInfo, ParticleState
 from mocap.filters.combinatorial import combinatorial
 from mocap.filters.partitioned import (
     Partial,
     PartitionedSettings,
+    partitioned_settings,
     partitioned_step,
 )
 from mocap.filters.parts import part_sets
+from mocap.filters.record import Filter
+from mocap.filters.state import FilterInfo, ParticleState
 from mocap.filters.swapping import parents_placement
 
 
@@ -49,3 +51,6 @@ def pfcr_step(
         recombination=combine_parts,
         counts_as="resampling",
     )
+
+
+PFCR = Filter("pfcr", "PFCR", pfcr_step, partitioned_settings, is_part_by_part=True)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.data.problem import ArticulatedProblem
-from mocap.filters.apf import FilterInfo, ParticleState
-from mocap.filters.partitioned import PartitionedSettings, partitioned_step
+from mocap.filters.partitioned import PartitionedSettings, partitioned_settings, partitioned_step
 from mocap.filters.parts import part_sets
+from mocap.filters.record import Filter
+from mocap.filters.state import FilterInfo, ParticleState
 
 
 def ps_step(
@@ -36,3 +37,9 @@ def parallel_ps_step(
     Source: XN 4.1 (Proposition 4-1).
     """
     return partitioned_step(problem, state, settings, part_sets(problem.layout), rng=rng)
+
+
+PS = Filter("ps", "PS", ps_step, partitioned_settings, is_part_by_part=True)
+PARALLEL_PS = Filter(
+    "parallel-ps", "parallel PS", parallel_ps_step, partitioned_settings, is_part_by_part=True
+)

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data.problem import ArticulatedProblem, StateLayout
-from mocap.filters.apf import FilterInfo, ParticleState
+from mocap.filters.budget import FilterBudget
 from mocap.filters.estimate import weighted_mean
 from mocap.filters.parts import columns_in, part_scores, require_parts
+from mocap.filters.record import Filter
 from mocap.filters.resampling import systematic
+from mocap.filters.state import FilterInfo, ParticleState
 from mocap.filters.timing import Stopwatch
 from mocap.filters.weights import effective_sample_size, normalise_log_weights
 
@@ -166,3 +168,13 @@ def grid_offsets(n_columns: int, n_values: int) -> Array:
         return np.empty((0, 0))
     middle = (np.arange(n_values) + 0.5) / n_values
     return np.stack(np.meshgrid(*[middle] * n_columns, indexing="ij"), axis=-1).reshape(-1, n_columns)
+
+
+def interval_settings(budget: FilterBudget, layout: StateLayout, std: Array) -> PsipfSettings:
+    """n_particles * n_layers placements of every part; as many particles are kept as can try 27 each: a joint with
+    three angles gets three values in each of them."""
+    n = budget.n_evaluations
+    return PsipfSettings(n_particles=n, std=std, n_kept=max(n // 27, 1))
+
+
+PSIPF = Filter("psipf", "PSIPF", psipf_step, interval_settings, is_part_by_part=True)

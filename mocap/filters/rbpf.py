@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data.problem import StateLayout
-from mocap.filters.apf import FilterInfo, ParticleState
 from mocap.filters.estimate import weighted_mean
 from mocap.filters.resampling import RESAMPLING
+from mocap.filters.state import FilterInfo, ParticleState
 from mocap.filters.weights import effective_sample_size, normalise_log_weights
 
 Array = NDArray[np.float64]

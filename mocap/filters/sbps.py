@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.data.problem import ArticulatedProblem, StateLayout
-from mocap.filters.apf import FilterInfo, ParticleState
 from mocap.filters.partitioned import (
     Partial,
     PartitionedSettings,
+    partitioned_settings,
     partitioned_step,
 )
 from mocap.filters.parts import part_sets
+from mocap.filters.record import Filter
+from mocap.filters.state import FilterInfo, ParticleState
 from mocap.filters.swapping import parents_placement, swap_sources
 from mocap.filters.weights import normalise_log_weights
 
@@ -46,3 +48,6 @@ def sbps_step(
     return partitioned_step(
         problem, state, settings, part_sets(problem.layout), rng=rng, recombination=swap_parts
     )
+
+
+SBPS = Filter("sbps", "SBPS", sbps_step, partitioned_settings, is_part_by_part=True)

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from mocap.data.hierarchy import Hierarchy, LevelsOf, depth_hierarchy, levels_on
 from mocap.data.problem import ArticulatedProblem, StateLayout
 from mocap.filters.annealing import layer_scales
-from mocap.filters.apf import FilterInfo, ParticleState
+from mocap.filters.budget import FilterBudget
 from mocap.filters.crossing import CROSSING
 from mocap.filters.estimate import weighted_mean
 from mocap.filters.layers import Layers, anneal
+from mocap.filters.record import Filter
 from mocap.filters.resampling import RESAMPLING
+from mocap.filters.state import FilterInfo, ParticleState
 from mocap.filters.structural import backward, forward, level_std, particles_per_level
 
 Array = NDArray[np.float64]
@@ -35,9 +37,9 @@ class ShbmSettings:
     level_particles: tuple[int, ...] = (300, 500, 300)
     """Source: CF Eq. 7.29."""
     level_layers: tuple[int, ...] = (2,)
-    alpha: float = 0.5
-    """Survival rate of every layer, and the factor on the noise covariance from layer to layer (CF 7.5.1)."""
-    alpha_structural: float = 0.8
+    survival_rate: float = 0.5
+    """Target ESS / N of every layer, and the factor on the noise covariance from layer to layer (CF 7.5.1)."""
+    structural_rate: float = 0.8
     """Factor on the noise covariance from model to model (CF 7.5.1)."""
     crossing: str = "mirror"
     resampling: str = "systematic"
@@ -131,8 +133,8 @@ def structural_layers(
             i,
             settings.std,
             settings.n_layers,
-            alpha=settings.alpha,
-            alpha_structural=settings.alpha_structural,
+            survival_rate=settings.survival_rate,
+            structural_rate=settings.structural_rate,
         )
         found.append(
             anneal(
@@ -142,7 +144,7 @@ def structural_layers(
                 n_particles=settings.level_particles[i],
                 n_layers=settings.n_layers[i],
                 std=np.where(is_free, std, 0.0),
-                alpha=settings.alpha,
+                survival_rate=settings.survival_rate,
                 resampling=settings.resampling,
                 parts=[p for p in level.parts if p not in absent],
                 rng=rng,
@@ -160,10 +162,10 @@ def structural_noise(levels: LevelsOf, settings: ShbmSettings) -> Array:
             i,
             settings.std,
             settings.n_layers,
-            alpha=settings.alpha,
-            alpha_structural=settings.alpha_structural,
+            survival_rate=settings.survival_rate,
+            structural_rate=settings.structural_rate,
         )
-        variance += np.sum(layer_scales(n_layers, settings.alpha) ** 2) * first**2
+        variance += np.sum(layer_scales(n_layers, settings.survival_rate) ** 2) * first**2
     return np.sqrt(variance)
 
 
@@ -197,47 +199,53 @@ def shbm_info(
     )
 
 
-def shbm_settings(
-    layout: StateLayout,
-    std: Array,
-    n_evaluations: int,
-    *,
-    hierarchy: Hierarchy | None = None,
-    n_layers: int = 2,
-    alpha: float = 0.5,
-    alpha_structural: float = 0.8,
-    crossing: str = "mirror",
-    resampling: str = "systematic",
-) -> ShbmSettings:
-    """Settings that spend n_evaluations of the whole state per frame, shared out by the columns that models add.
-
-    A particle of a coarse model costs only the share of the parts that it scores, so that there are more of them than
-    n_evaluations / n_layers.
-    Source: CF Eq. 7.21; departs from it in what is counted (reading guide 23).
-    """
-    levels = levels_on(hierarchy or depth_hierarchy(layout), layout)
-    dimensions = levels.dimensions
-    cost = n_layers * sum(
-        k * len(level.parts) / layout.n_parts for k, level in zip(dimensions, levels.levels, strict=True)
-    )
-    return ShbmSettings(
-        std=std,
-        hierarchy=hierarchy,
-        level_particles=particles_per_level(dimensions, round(n_evaluations * sum(dimensions) / cost)),
-        level_layers=(n_layers,),
-        alpha=alpha,
-        alpha_structural=alpha_structural,
-        crossing=crossing,
-        resampling=resampling,
-    )
-
-
 def _levels_for(problem: ArticulatedProblem, settings: ShbmSettings) -> LevelsOf:
     layout = problem.layout
-    levels = levels_on(settings.hierarchy or depth_hierarchy(layout), layout)
-    if len(levels.levels) != len(settings.level_particles):
-        raise ValueError(
-            f"level_particles has {len(settings.level_particles)} numbers, "
-            f"the hierarchy has {len(levels.levels)} levels"
-        )
+    hierarchy = settings.hierarchy or depth_hierarchy(layout)
+    levels = levels_on(hierarchy, layout)
+    _require_one_for_each(settings.level_particles, hierarchy)
     return levels
+
+
+def _require_one_for_each(level_particles: Sequence[int], hierarchy: Hierarchy) -> None:
+    if len(hierarchy.levels) != len(level_particles):
+        raise ValueError(
+            f"level_particles has {len(level_particles)} numbers, the hierarchy {hierarchy.name} has "
+            f"{len(hierarchy.levels)} levels"
+        )
+
+
+def structural_settings(budget: FilterBudget, layout: StateLayout, std: Array) -> ShbmSettings:
+    """The budget's evaluations shared out by the columns that models add, or the numbers of particles that it names.
+
+    A particle of a coarse model costs only the share of the parts that it scores, so that there are more of them than
+    n_evaluations / level_layers.
+    Raises ValueError when the hierarchy does not fit the layout or level_particles.
+    Source: CF Eq. 7.21; departs from it in what is counted (reading guide 23).
+    """
+    hierarchy = budget.hierarchy or depth_hierarchy(layout)
+    levels = levels_on(hierarchy, layout)
+    if budget.level_particles:
+        _require_one_for_each(budget.level_particles, hierarchy)
+    return ShbmSettings(
+        std=std,
+        hierarchy=budget.hierarchy,
+        level_particles=budget.level_particles or _affordable(budget, levels, layout.n_parts),
+        level_layers=(budget.level_layers,),
+        survival_rate=budget.survival_rate,
+        structural_rate=budget.structural_rate,
+        crossing=budget.crossing,
+        resampling=budget.resampling,
+    )
+
+
+def _affordable(budget: FilterBudget, levels: LevelsOf, n_parts: int) -> tuple[int, ...]:
+    """Particles of each model that the budget's evaluations pay for."""
+    dimensions = levels.dimensions
+    cost = budget.level_layers * sum(
+        k * len(level.parts) / n_parts for k, level in zip(dimensions, levels.levels, strict=True)
+    )
+    return particles_per_level(dimensions, round(budget.n_evaluations * sum(dimensions) / cost))
+
+
+SHBM_APF = Filter("shbm-apf", "SHBM-APF", shbm_step, structural_settings, uses_hierarchy=True)

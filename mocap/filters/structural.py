@@ -65,20 +65,20 @@ def level_std(
     std: Array,
     n_layers: Sequence[int],
     *,
-    alpha: float,
-    alpha_structural: float,
+    survival_rate: float,
+    structural_rate: float,
 ) -> Array:
     """Standard deviations (D,) of the first layer of model `index`; 0 in columns it does not have.
 
-    std : (D,) of a column in the model that adds it. From model to model a covariance shrinks by alpha_structural and
-    by alpha for every layer in between.
-    Source: CF Eq. 7.14, 7.23-7.26. Departs from 7.26 as printed in the exponent of alpha_structural, which must be the
+    std : (D,) of a column in the model that adds it. From model to model a covariance shrinks by structural_rate
+    (alpha_S) and by survival_rate (alpha) for every layer in between.
+    Source: CF Eq. 7.14, 7.23-7.26. Departs from 7.26 as printed in the exponent of alpha_S, which must be the
     number of models passed (as in 7.24 and 7.25), not q - 1.
     """
     factor = np.zeros_like(std)
     for q, level in enumerate(levels.levels[: index + 1]):
         passed = sum(n_layers[q:index])
-        factor[level.added] = alpha_structural ** (index - q) * alpha**passed
+        factor[level.added] = structural_rate ** (index - q) * survival_rate**passed
     return std * np.sqrt(factor)
 
 

@@ -13,7 +13,8 @@ from mocap.body.average import mean_state
 from mocap.body.kinematics import point_jacobian
 from mocap.data import LANDMARKS, StateLayout
 from mocap.data.problem import limbs_of
-from mocap.filters import FilterInfo, ParticleState, RefineSettings, refine
+from mocap.filters import FilterInfo, ParticleState
+from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.smoother import smooth_points
 
 Array = NDArray[np.float64]

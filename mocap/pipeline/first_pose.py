@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, candidate_states
-from mocap.filters import ApfSettings, ParticleState, apf_step, initial_particles
+from mocap.filters import ParticleState, initial_particles
+from mocap.filters.apf import ApfSettings, apf_step
 from mocap.likelihood.colours import Appearance
 from mocap.pipeline.limbs import first_parts, recover_limbs
 from mocap.pipeline.pose_problem import FrameProblem, PoseTools, PreparedHull
@@ -135,7 +136,7 @@ def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[Fir
     value = search.score(copies).reshape(len(candidates), _SEARCH_COPIES)
     copies = copies.reshape(len(candidates), _SEARCH_COPIES, -1)
     equal = np.full(_SEARCH_COPIES, 1.0 / _SEARCH_COPIES)
-    brief = ApfSettings(n_layers=4, n_particles=80, std=search.std, alpha=0.5)
+    brief = ApfSettings(n_layers=4, n_particles=80, std=search.std, survival_rate=0.5)
     promising = np.argsort(-value.max(axis=1), kind="stable")[: 4 * search.tools.pose.n_first_poses]
     starts = [(ParticleState(copies[k], equal), labels[k]) for k in promising.tolist()]
     tried = search.attempts(starts, brief, is_brief=True, rng=rng)
@@ -152,7 +153,7 @@ def settle_first_poses(
         # A person from behind has the silhouette of one from the front: follow the best of the other half too.
         behind = [f for f in tried if np.cos(f.state[yaw] - tried[0].state[yaw]) < 0]
         chosen += [f for f in behind[:3] if f not in chosen]
-    thorough = ApfSettings(n_layers=8, n_particles=200, std=search.std, alpha=0.6)
+    thorough = ApfSettings(n_layers=8, n_particles=200, std=search.std, survival_rate=0.6)
     problem = search.problem.search
     starts = [(initial_particles(problem, f.state, 2), f.label) for f in chosen]
     found = search.attempts(starts, thorough, is_brief=False, rng=rng)

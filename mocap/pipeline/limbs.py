@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from mocap.body import landmarks_of
 from mocap.data import StateLayout
 from mocap.data.problem import limbs_of
-from mocap.filters import ScoutSettings, scout_limbs
-from mocap.filters.scout import Bonus
+from mocap.filters.scout import Bonus, ScoutSettings, scout_limbs
 from mocap.likelihood.colours import ColourProblem
 from mocap.likelihood.residuals import SurfaceProblem
 from mocap.pipeline.pose_problem import NATS_PER_M2, FrameProblem, PoseTools

@@ -119,7 +119,7 @@ def follow_beam(
         problem = tools.problem(observation)
         if particles is None:
             particles = initial_particles(problem, alive[0].state, settings.n_particles)
-        particles, info = FILTERS[tools.pose.filter](problem, particles, settings, rng=rng)
+        particles, info = FILTERS[tools.pose.filter].step(problem, particles, settings, rng=rng)
         ess_share[i] = float(info.ess[-1]) / len(particles.weights)
         tried.append((0, tools.fit(observation, info.estimate)))
         if tools.pose.scouts:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from mocap.body import Body
 from mocap.body.markers import Markers
-from mocap.filters import FilterSettings, RefineSettings, refine
+from mocap.filters import FilterSettings, filter_settings
+from mocap.filters.refine import RefineSettings, refine
 from mocap.geometry.rigid import wrap_angle
 from mocap.likelihood.markers import (
     MarkerFitProblem,
@@ -20,7 +21,7 @@ from mocap.likelihood.markers import (
     MarkerProblem,
 )
 from mocap.pipeline.config import MarkersConfig, PoseConfig
-from mocap.pipeline.filter_settings import filter_settings
+from mocap.pipeline.pose_settings import filter_budget
 
 Array = NDArray[np.float64]
 ObservationOf = Callable[[int], MarkerObservation]
@@ -75,7 +76,8 @@ class MarkerTools:
 
     def filter_settings(self) -> FilterSettings:
         """Settings of the configured filter."""
-        return filter_settings(self.pose, self.body.layout, self.noise_std)
+        layout = self.body.layout
+        return filter_settings(filter_budget(self.pose, layout), layout, self.noise_std)
 
     def problem(self, observation: MarkerObservation, gate_px: float | None = None) -> MarkerProblem:
         """The filter's problem of one frame."""

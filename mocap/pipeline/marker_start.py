@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from mocap.body import Body, candidate_states, landmarks_of
 from mocap.body.initial import HIGHEST_STANDING_TOP_M, LOWEST_STANDING_TOP_M
 from mocap.body.markers import Markers, marker_positions
-from mocap.filters import ApfSettings, apf_step, initial_particles
+from mocap.filters import initial_particles
+from mocap.filters.apf import ApfSettings, apf_step
 from mocap.geometry.triangulation import triangulate_unlabelled
 from mocap.likelihood.markers import MarkerObservation
 from mocap.pipeline.marker_problem import WIDE, Fit, MarkerTools, ObservationOf

@@ -387,7 +387,7 @@ def _filtered(
     states, spread = np.empty((T, len(state))), np.zeros((T, len(LANDMARKS), 3, 3))
     ess_share = np.full(T, np.nan)
     matched: list[MarkerFitProblem | None] = [None] * T
-    step = FILTERS[tools.pose.filter]
+    step = FILTERS[tools.pose.filter].step
     settings = tools.filter_settings()
     for stage, order in (
         ("pose", range(start, frames.stop)),

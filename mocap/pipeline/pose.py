@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mocap.body import Body, head_top, height_from_tops, is_upright, landmarks_of
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, VoxelGrid
-from mocap.filters import FILTERS, ParticleState, initial_particles
+from mocap.filters import FILTERS, ParticleState, filter_settings, initial_particles
 from mocap.likelihood.colours import Appearance, new_appearance
 from mocap.likelihood.voxels import PartScores, part_scores
 from mocap.metrics.smoothness import smoothness_scores
@@ -23,7 +23,6 @@ from mocap.pipeline.estimate import (
     point_estimate,
     smooth_motion,
 )
-from mocap.pipeline.filter_settings import filter_settings
 from mocap.pipeline.first_pose import (
     FirstPose,
     PoseSearch,
@@ -40,6 +39,7 @@ from mocap.pipeline.pose_problem import (
     PreparedHull,
     is_usable,
 )
+from mocap.pipeline.pose_settings import filter_budget
 from mocap.pipeline.repair import repair_limbs
 from mocap.pipeline.rescue import Rescue, rescue_pose
 from mocap.pipeline.rng import rng_for
@@ -154,8 +154,10 @@ def filter_frames(
     frames : (T,).  xyz : (T, 3) m, track.  A frame without a usable hull carries the pose on with growing uncertainty
     and observed = False.  looks : what is known of the person's colours, kept up to date; None = do without.
     """
-    step = FILTERS[tools.pose.filter]
-    settings = filter_settings(tools.pose, tools.body.layout, tools.noise_std)
+    step = FILTERS[tools.pose.filter].step
+    settings = filter_settings(
+        filter_budget(tools.pose, tools.body.layout), tools.body.layout, tools.noise_std
+    )
     particles: ParticleState | None = None
     estimate = first
     last_xyz = xyz[order[0]] if len(order) else np.zeros(3)

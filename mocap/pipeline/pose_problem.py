@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, LookUpTable, load_body_model, scale_body
 from mocap.data import VoxelGrid
-from mocap.filters import RefineSettings
+from mocap.filters.refine import RefineSettings
 from mocap.likelihood.colours import Appearance, ColourProblem, PixelRays
 from mocap.likelihood.residuals import (
     BodyFit,

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import candidate_states
-from mocap.filters import ApfSettings, initial_particles
+from mocap.filters import initial_particles
+from mocap.filters.apf import ApfSettings
 from mocap.pipeline.first_pose import PoseSearch, yaw_column
 
 Array = NDArray[np.float64]
@@ -74,8 +75,8 @@ def rescue_pose(search: PoseSearch, state: Array, good: Array | None, *, rng: np
             moved[yaw] = facing
         states.append(moved)
     problem = search.problem.search
-    brief = ApfSettings(n_layers=4, n_particles=80, std=0.5 * search.std, alpha=0.5)
-    thorough = ApfSettings(n_layers=6, n_particles=200, std=0.5 * search.std, alpha=0.6)
+    brief = ApfSettings(n_layers=4, n_particles=80, std=0.5 * search.std, survival_rate=0.5)
+    thorough = ApfSettings(n_layers=6, n_particles=200, std=0.5 * search.std, survival_rate=0.6)
     tried = search.attempts(
         [(initial_particles(problem, s, 2), "") for s in states], brief, is_brief=True, rng=rng
     )

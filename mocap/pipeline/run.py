@@ -299,19 +299,9 @@ def _fingerprint_named_files(config: Config) -> str:
 def _check_config(config: Config) -> None:
     """Names that only the code knows are checked before any work is done."""
     from mocap.body import load_body_model
-    from mocap.filters import FILTERS, PART_BY_PART
+    from mocap.pipeline.pose_settings import check_filter
 
-    if config.pose.filter in PART_BY_PART and not config.likelihood.factorised:
-        raise MocapError(
-            f"configuration: the filter {config.pose.filter} places the body part by part and needs a likelihood of "
-            "every part",
-            remedy="set likelihood.factorised to true, or take another filter",
-        )
-    if config.pose.filter not in FILTERS:
-        raise MocapError(
-            f"configuration: pose.filter: there is no filter named {config.pose.filter!r}",
-            remedy=f"use one of {', '.join(FILTERS)}",
-        )
+    check_filter(config.pose, "likelihood", factorised=config.likelihood.factorised)
     load_body_model(config.body_model("voxels"))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +52,7 @@ def test_a_failed_run_leaves_the_others_alone(monkeypatch: pytest.MonkeyPatch) -
         calls.append(1)
         raise FloatingPointError("no\nmore")
 
-    monkeypatch.setitem(FILTERS, "ps", broken)
+    monkeypatch.setitem(FILTERS, "ps", replace(FILTERS["ps"], step=broken))
     found = run_scene(TINY, [RunKey("ps", 20), RunKey("sbps", 20), RunKey("no such filter", 20)])
     by_name = {one["filter"]: one for one in found}
     assert by_name["ps"]["status"] == "FloatingPointError: no more"
@@ -229,7 +229,7 @@ def test_all_filters_run_on_a_body_with_equal_evaluations(monkeypatch: pytest.Mo
     def broken(*args: object, **kwargs: object) -> None:
         raise ValueError("not today")
 
-    monkeypatch.setitem(FILTERS, "pso", broken)
+    monkeypatch.setitem(FILTERS, "pso", replace(FILTERS["pso"], step=broken))
     body = scale_body(load_body_model("anthropometric"), 1.7)
     truth = neutral_state(body)
     problem = NearTruth(body.layout, truth)

@@ -11,15 +11,14 @@ from eval.decomposition.readings import (
     AbsoluteAngles,
     LogDistanceProblem,
     combine_as_printed,
-    settings_name,
-    step_of,
+    filter_named,
     to_relative,
 )
 from eval.decomposition.tables import Seeds, Table
 from eval.decomposition_as_printed import as_printed
 from eval.decomposition_regimes import FIRST_SCENE, WORLDS_4_5, WORLDS_6, chapter_6, chapters_4_5
 from mocap.data.polygons import part_frames, star_tree
-from mocap.filters import FILTERS, ParticleState, initial_particles, settings_for
+from mocap.filters import FILTERS, FilterBudget, ParticleState, filter_settings, initial_particles
 from mocap.filters.partitioned import Partial
 from mocap.filters.pfcr import combine_parts
 from mocap.likelihood.polygons import (
@@ -89,12 +88,14 @@ def test_smoothing_layers_never_sharpen(name: str) -> None:
     """A flat likelihood: the survival rate asks for more than 1 in the filter itself."""
     scene = scene_of(SceneKey("sw_15", 3, 3, n_frames=2))
     layout = scene.tree.layout
-    base = settings_name(name)
-    settings = settings_for(base, layout=layout, std=random_walk_std(layout), n_particles=40, n_layers=2)
+    base = name.removesuffix("-smooth")
+    settings = filter_settings(
+        FilterBudget(base, n_particles=40, n_layers=2), layout, random_walk_std(layout)
+    )
     problem = scene.problem(1, WORLDS["sw_15"].likelihood)
     state = initial_particles(problem, scene.states[0], 40)
-    _, sharp = FILTERS[base](problem, state, settings, rng=np.random.default_rng(0))
-    _, smooth = step_of(name)(problem, state, settings, rng=np.random.default_rng(0))
+    _, sharp = FILTERS[base].step(problem, state, settings, rng=np.random.default_rng(0))
+    _, smooth = filter_named(name).step(problem, state, settings, rng=np.random.default_rng(0))
     assert sharp.beta.max() > 1
     assert smooth.beta.max() == 1
 
@@ -123,12 +124,12 @@ def test_drawn_swarms_start_from_particles_of_weight() -> None:
     scene = scene_of(SceneKey("xn6", 2, 3, n_frames=2))
     layout = scene.tree.layout
     std = 1e-6 * random_walk_std(layout)
-    settings = settings_for("hapsopf", layout=layout, std=std, n_particles=10, n_layers=4)
+    settings = filter_settings(FilterBudget("hapsopf", n_particles=10, n_layers=4), layout, std)
     particles = scene.states[0] + 40.0 * np.arange(10)[:, None]
     state = ParticleState(particles, np.eye(10)[0])
     problem = scene.problem(1)
-    drawn, info = step_of("hapsopf-drawn")(problem, state, settings, rng=np.random.default_rng(0))
-    carried, _ = FILTERS["hapsopf"](problem, state, settings, rng=np.random.default_rng(0))
+    drawn, info = filter_named("hapsopf-drawn").step(problem, state, settings, rng=np.random.default_rng(0))
+    carried, _ = FILTERS["hapsopf"].step(problem, state, settings, rng=np.random.default_rng(0))
     assert np.abs(drawn.particles - scene.states[0]).max() < 0.1
     assert np.abs(carried.particles - scene.states[0]).max() > 10
     assert info.n_evaluations == 40

@@ -8,7 +8,8 @@ import pytest
 
 from mocap.data import StateLayout
 from mocap.data.propagation import truncated_gaussian_step
-from mocap.filters import FILTERS, ApfSettings, ParticleState, apf_step, initial_particles, sir_step
+from mocap.filters import FILTERS, ParticleState, initial_particles
+from mocap.filters.apf import ApfSettings, apf_step, sir_step
 
 STD = np.array([0.5, 0.3])
 NOISE = np.array([0.4, 0.2])
@@ -98,7 +99,7 @@ def test_apf_finds_the_maximum_of_the_likelihood(seed: int) -> None:
 
 
 def test_apf_keeps_its_survival_rate_and_counts_its_work() -> None:
-    s = settings(5, 200, alpha=0.4)
+    s = settings(5, 200, survival_rate=0.4)
     problem = Toy(np.array([0.8, 0.3]))
     state, info = apf_step(
         problem, initial_particles(problem, np.zeros(2), 7), s, rng=np.random.default_rng(3)
@@ -127,9 +128,9 @@ def test_sir_spends_as_much_as_apf() -> None:
 @pytest.mark.parametrize("scheme", ["systematic", "stratified", "multinomial"])
 def test_same_generator_same_answer(name: str, scheme: str) -> None:
     s = settings(3, 40, resampling=scheme)
-    a, _ = run(FILTERS[name], s, 7)
-    b, _ = run(FILTERS[name], s, 7)
-    c, _ = run(FILTERS[name], s, 8)
+    a, _ = run(FILTERS[name].step, s, 7)
+    b, _ = run(FILTERS[name].step, s, 7)
+    c, _ = run(FILTERS[name].step, s, 8)
     np.testing.assert_array_equal(a, b)
     assert np.abs(a - c).max() > 0
 
@@ -139,7 +140,7 @@ def test_particles_stay_inside_their_bounds(name: str) -> None:
     problem = Toy(np.array([5.0, -5.0]), lower=-0.5, upper=0.5)
     start = initial_particles(problem, np.array([9.0, 0.0]), 30)
     assert start.particles.max() <= 0.5
-    state, info = FILTERS[name](problem, start, settings(4, 60), rng=np.random.default_rng(0))
+    state, info = FILTERS[name].step(problem, start, settings(4, 60), rng=np.random.default_rng(0))
     assert np.abs(state.particles).max() <= 0.5
     assert np.abs(info.estimate - [0.5, -0.5]).max() < 0.2
 
@@ -148,7 +149,7 @@ def test_particles_stay_inside_their_bounds(name: str) -> None:
 def test_a_frame_without_likelihood_is_said_and_survived(name: str) -> None:
     problem = Toy(np.zeros(2), dead=True)
     start = initial_particles(problem, np.ones(2), 20)
-    state, info = FILTERS[name](problem, start, settings(3, 50), rng=np.random.default_rng(0))
+    state, info = FILTERS[name].step(problem, start, settings(3, 50), rng=np.random.default_rng(0))
     assert info.is_degenerate
     assert np.isfinite(info.estimate).all()
     assert np.isfinite(state.particles).all()

@@ -11,22 +11,11 @@ from linear_gaussian_tree import LinearGaussianTree, tree_layout
 
 from mocap.body import landmarks_of, load_hierarchy, load_limbs, neutral_state
 from mocap.data import LANDMARKS, Limb
-from mocap.filters import (
-    FILTERS,
-    ApfSettings,
-    DdmaSettings,
-    DdmaState,
-    LimbSettings,
-    ParticleState,
-    ShbmDdmaSettings,
-    ShbmSettings,
-    apf_step,
-    ddma_step,
-    initial_particles,
-    shbm_ddma_step,
-    shbm_step,
-)
-from mocap.filters.ddma import spread_of
+from mocap.filters import FILTERS, ParticleState, initial_particles
+from mocap.filters.apf import ApfSettings, apf_step
+from mocap.filters.ddma import DdmaSettings, DdmaState, ShbmDdmaSettings, ddma_step, shbm_ddma_step, spread_of
+from mocap.filters.limb_settings import LimbSettings
+from mocap.filters.shbm import ShbmSettings, shbm_step
 from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 from mocap.pipeline.pose_problem import pack_volume
 
@@ -67,7 +56,7 @@ def test_a_shank_is_lost_with_its_data_and_found_again(coarse_flesh: Flesh, name
     layout = flesh.body.layout
     truth = standing(flesh)
     shank, knee = layout.parts.index("right_shank"), layout.names.index("right_knee_y")
-    step, own = FILTERS[name], settings_of(name, flesh)
+    step, own = FILTERS[name].step, settings_of(name, flesh)
     rng = np.random.default_rng(3)
     state: ParticleState = initial_particles(problem_of(flesh, truth), truth, own.n_particles)
 

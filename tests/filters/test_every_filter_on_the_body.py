@@ -8,8 +8,7 @@ import pytest
 from flesh_voxels import Flesh
 
 from mocap.body import landmarks_of, neutral_state
-from mocap.filters import FILTERS, PART_BY_PART, initial_particles, settings_for
-from mocap.filters.budget import SETTINGS
+from mocap.filters import FILTERS, FilterBudget, FilterSettings, filter_settings, initial_particles
 from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 from mocap.pipeline.pose_problem import pack_volume
 
@@ -29,19 +28,20 @@ def body_problem(flesh: Flesh, *, factorised: bool = True) -> tuple[VoxelProblem
     return VoxelProblem(flesh.body, flesh.table, volume, settings), truth
 
 
-def test_every_filter_has_a_budget() -> None:
-    assert set(SETTINGS) == set(FILTERS)
+def test_every_filter_stands_under_its_own_name() -> None:
+    assert [own.name for own in FILTERS.values()] == list(FILTERS)
+    assert len({own.label for own in FILTERS.values()}) == len(FILTERS)
 
 
 @pytest.mark.parametrize("name", sorted(FILTERS))
 def test_a_filter_runs_within_its_budget_and_stays_sane(coarse_flesh: Flesh, name: str) -> None:
     problem, truth = body_problem(coarse_flesh)
     layout = problem.layout
-    settings = settings_for(name, layout=layout, std=STD, n_particles=N_PARTICLES, n_layers=N_LAYERS)
+    settings = filter_settings(FilterBudget(name, n_particles=N_PARTICLES, n_layers=N_LAYERS), layout, STD)
     rng = np.random.default_rng(0)
     state = initial_particles(problem, truth, settings.n_particles)
     for _ in range(2):
-        state, info = FILTERS[name](problem, state, settings, rng=rng)
+        state, info = FILTERS[name].step(problem, state, settings, rng=rng)
     assert info.n_evaluations == pytest.approx(N_PARTICLES * N_LAYERS, rel=BUDGET_TOLERANCE)
     assert not info.is_degenerate
     assert np.isfinite(state.particles).all()
@@ -58,11 +58,11 @@ def test_a_filter_runs_within_its_budget_and_stays_sane(coarse_flesh: Flesh, nam
 @pytest.mark.parametrize("name", sorted(FILTERS))
 def test_the_same_seed_gives_the_same_estimate(coarse_flesh: Flesh, name: str) -> None:
     problem, truth = body_problem(coarse_flesh)
-    settings = settings_for(name, layout=problem.layout, std=STD, n_particles=20, n_layers=2)
+    settings = filter_settings(FilterBudget(name, n_particles=20, n_layers=2), problem.layout, STD)
     found = []
     for seed in (1, 1, 2):
         start = initial_particles(problem, truth, settings.n_particles)
-        _, info = FILTERS[name](problem, start, settings, rng=np.random.default_rng(seed))
+        _, info = FILTERS[name].step(problem, start, settings, rng=np.random.default_rng(seed))
         found.append(info.estimate)
     assert found[0].tobytes() == found[1].tobytes()
     assert not np.array_equal(found[0], found[2])
@@ -71,31 +71,34 @@ def test_the_same_seed_gives_the_same_estimate(coarse_flesh: Flesh, name: str) -
 @pytest.mark.parametrize("name", WHOLE_STATE)
 def test_filters_of_the_whole_state_take_a_global_likelihood(coarse_flesh: Flesh, name: str) -> None:
     problem, truth = body_problem(coarse_flesh, factorised=False)
-    settings = settings_for(name, layout=problem.layout, std=STD, n_particles=20, n_layers=2)
+    settings = filter_settings(FilterBudget(name, n_particles=20, n_layers=2), problem.layout, STD)
     start = initial_particles(problem, truth, settings.n_particles)
-    _, info = FILTERS[name](problem, start, settings, rng=np.random.default_rng(0))
+    _, info = FILTERS[name].step(problem, start, settings, rng=np.random.default_rng(0))
     assert np.isfinite(info.estimate).all()
 
 
-@pytest.mark.parametrize("name", sorted(PART_BY_PART))
+@pytest.mark.parametrize("name", sorted(name for name, own in FILTERS.items() if own.is_part_by_part))
 def test_filters_of_parts_refuse_a_global_likelihood(coarse_flesh: Flesh, name: str) -> None:
     problem, truth = body_problem(coarse_flesh, factorised=False)
-    settings = settings_for(name, layout=problem.layout, std=STD, n_particles=20, n_layers=2)
+    settings = filter_settings(FilterBudget(name, n_particles=20, n_layers=2), problem.layout, STD)
     start = initial_particles(problem, truth, settings.n_particles)
     with pytest.raises(ValueError, match="part by part"):
-        FILTERS[name](problem, start, settings, rng=np.random.default_rng(0))
+        FILTERS[name].step(problem, start, settings, rng=np.random.default_rng(0))
 
 
 def test_budgets_are_split_as_documented() -> None:
     from linear_gaussian_tree import tree_layout
 
     layout = tree_layout([-1, 0], [1, 1])
-    kwargs = {"layout": layout, "std": np.ones(2), "n_particles": 50, "n_layers": 3}
-    assert settings_for("ps", **kwargs).n_particles == 150  # type: ignore[arg-type]
-    assert settings_for("psapf", **kwargs).n_particles == 50  # type: ignore[arg-type]
-    swarm = settings_for("hapsopf", **kwargs)  # type: ignore[arg-type]
+
+    def settings(name: str, n_layers: int = 3) -> FilterSettings:
+        return filter_settings(FilterBudget(name, n_particles=50, n_layers=n_layers), layout, np.ones(2))
+
+    assert settings("ps").n_particles == 150
+    assert settings("psapf").n_particles == 50
+    swarm = settings("hapsopf")
     assert (swarm.n_particles, swarm.n_iterations) == (50, 2)  # type: ignore[attr-defined]
-    one = settings_for("pso", **{**kwargs, "n_layers": 1})  # type: ignore[arg-type]
+    one = settings("pso", n_layers=1)
     assert (one.n_particles, one.n_iterations) == (25, 1)  # type: ignore[attr-defined]
 
 
@@ -104,12 +107,14 @@ def test_impossible_budgets_are_refused() -> None:
 
     layout = tree_layout([-1, 0], [1, 1])
     with pytest.raises(ValueError, match="'lottery' is none of sir, apf"):
-        settings_for("lottery", layout=layout, std=np.ones(2), n_particles=50, n_layers=3)
+        filter_settings(FilterBudget("lottery", n_particles=50, n_layers=3), layout, np.ones(2))
     with pytest.raises(ValueError, match=r"std has shape \(3,\), expected \(2,\)"):
-        settings_for("ps", layout=layout, std=np.ones(3), n_particles=50, n_layers=3)
+        filter_settings(FilterBudget("ps", n_particles=50, n_layers=3), layout, np.ones(3))
     for n_particles, n_layers in ((1, 3), (50, 0)):
         with pytest.raises(ValueError, match="n_layers >= 1 and n_particles >= 2"):
-            settings_for("ps", layout=layout, std=np.ones(2), n_particles=n_particles, n_layers=n_layers)
+            filter_settings(
+                FilterBudget("ps", n_particles=n_particles, n_layers=n_layers), layout, np.ones(2)
+            )
 
 
 def test_the_page_names_every_filter_and_its_example_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from linear_gaussian_tree import LinearGaussianTree, exact_posterior, positions_of, tree_layout
 
-from mocap.filters import FILTERS, ParticleState, initial_particles, settings_for
+from mocap.filters import FILTERS, FilterBudget, ParticleState, filter_settings, initial_particles
 from mocap.filters import sbps as sbps_module
 from mocap.filters.swapping import swap_sources
 
@@ -36,13 +36,13 @@ def errors(
     name: str, n_particles: int, seed: int, resampling: str = "systematic"
 ) -> tuple[np.ndarray, np.ndarray]:
     """Error of the posterior mean in standard deviations (D,), and of the covariance (D, D)."""
-    settings = settings_for(
-        name, layout=TREE, std=STD, n_particles=n_particles, n_layers=1, resampling=resampling
+    settings = filter_settings(
+        FilterBudget(name, n_particles=n_particles, n_layers=1, resampling=resampling), TREE, STD
     )
     rng = np.random.default_rng(seed)
     state = initial_particles(LinearGaussianTree(TREE, MEASUREMENTS[0], NOISE), START, n_particles)
     for z in MEASUREMENTS:
-        state, info = FILTERS[name](LinearGaussianTree(TREE, z, NOISE), state, settings, rng=rng)
+        state, info = FILTERS[name].step(LinearGaussianTree(TREE, z, NOISE), state, settings, rng=rng)
     d = state.particles - MEAN
     covariance = (d * state.weights[:, None]).T @ d
     return (info.estimate - MEAN) / np.sqrt(np.diag(COVARIANCE)), covariance - COVARIANCE
@@ -119,8 +119,8 @@ def test_swapping_k_alike_siblings_raises_their_likelihood_to_the_power_k(name: 
     """
     n = 20_000
     problem = LinearGaussianTree(STAR, STAR_Z, STAR_NOISE)
-    settings = settings_for(name, layout=STAR, std=STAR_STD, n_particles=n, n_layers=1)
-    state, info = FILTERS[name](
+    settings = filter_settings(FilterBudget(name, n_particles=n, n_layers=1), STAR, STAR_STD)
+    state, info = FILTERS[name].step(
         problem, initial_particles(problem, np.zeros(4), 2), settings, rng=np.random.default_rng(1)
     )
     precision = 1 / 0.6**2 + power / STAR_NOISE**2
@@ -132,15 +132,10 @@ def test_swapping_k_alike_siblings_raises_their_likelihood_to_the_power_k(name: 
 
 def run_once(name: str, problem: LinearGaussianTree, n: int, seed: int, **more: object) -> tuple:
     layout = problem.layout
-    settings = settings_for(
-        name,
-        layout=layout,
-        std=np.full(layout.n_columns, 0.4),
-        n_particles=n,
-        **{"n_layers": 2, **more},  # type: ignore[arg-type]
-    )
+    budget = FilterBudget(name, n_particles=n, **{"n_layers": 2, **more})  # type: ignore[arg-type]
+    settings = filter_settings(budget, layout, np.full(layout.n_columns, 0.4))
     start = initial_particles(problem, np.zeros(layout.n_columns), 5)
-    return FILTERS[name](problem, start, settings, rng=np.random.default_rng(seed))
+    return FILTERS[name].step(problem, start, settings, rng=np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize(("annealed", "plain"), [("psapf", "ps"), ("sbapf", "sbps")])
@@ -187,7 +182,7 @@ def test_every_part_is_scored_given_those_before_it_and_all_is_counted(name: str
 
 def test_annealed_layers_keep_their_survival_rate_and_the_last_is_the_likelihood() -> None:
     problem = LinearGaussianTree(TREE, MEASUREMENTS[0], NOISE)
-    _, info = run_once("psapf", problem, 200, 0, n_layers=3, alpha=0.4)
+    _, info = run_once("psapf", problem, 200, 0, n_layers=3, survival_rate=0.4)
     beta, ess = info.beta.reshape(P, 3), info.ess.reshape(P, 3)
     np.testing.assert_array_equal(beta[:, 2], 1.0)
     np.testing.assert_allclose(ess[:, :2] / 200, 0.4, rtol=1e-3)
@@ -197,10 +192,10 @@ def test_annealed_layers_keep_their_survival_rate_and_the_last_is_the_likelihood
 def test_a_largest_exponent_holds_where_the_survival_rate_asks_for_more(name: str) -> None:
     """A likelihood a hundred times as wide is flat: without the cap every layer sharpens."""
     problem = LinearGaussianTree(TREE, MEASUREMENTS[0], 100 * NOISE)
-    settings = settings_for(name, layout=TREE, std=STD, n_particles=200, n_layers=3)
+    settings = filter_settings(FilterBudget(name, n_particles=200, n_layers=3), TREE, STD)
     start = initial_particles(problem, np.zeros(TREE.n_columns), 5)
     free, capped = (
-        FILTERS[name](problem, start, own, rng=np.random.default_rng(0))[1]
+        FILTERS[name].step(problem, start, own, rng=np.random.default_rng(0))[1]
         for own in (settings, replace(settings, beta_max=1.0))  # type: ignore[type-var, call-arg]
     )
     assert free.beta.reshape(-1, 3)[:, :2].min() > 1
@@ -240,8 +235,8 @@ def test_bounds_hold_and_circular_columns_are_averaged_as_angles(name: str) -> N
     turning = tree_layout([-1, 0, 0], [1, 1, 1], is_circular=True)
     problem = LinearGaussianTree(turning, np.zeros(3), 50.0)
     seam = ParticleState(np.array([[3.1, 0.0, 0.0], [-3.1, 0.0, 0.0]]), np.array([0.5, 0.5]))
-    settings = settings_for(name, layout=turning, std=np.full(3, 1e-3), n_particles=30, n_layers=2)
-    _, info = FILTERS[name](problem, seam, settings, rng=np.random.default_rng(0))
+    settings = filter_settings(FilterBudget(name, n_particles=30, n_layers=2), turning, np.full(3, 1e-3))
+    _, info = FILTERS[name].step(problem, seam, settings, rng=np.random.default_rng(0))
     assert np.cos(info.estimate[0]) < -0.99
 
 
@@ -300,11 +295,11 @@ def test_a_global_likelihood_is_refused(name: str) -> None:
 
 
 def test_bad_settings_are_refused() -> None:
-    good = settings_for("psapf", layout=TREE, std=STD, n_particles=20, n_layers=2)
+    good = filter_settings(FilterBudget("psapf", n_particles=20, n_layers=2), TREE, STD)
     bad: tuple[tuple[dict[str, object], str], ...] = (
         ({"n_particles": 1}, "n_particles"),
         ({"n_layers": 0}, "n_layers"),
-        ({"alpha": 1.0}, "alpha"),
+        ({"survival_rate": 1.0}, "survival_rate"),
         ({"beta_max": 0.0}, "beta_max"),
         ({"resampling": "lottery"}, "lottery"),
     )

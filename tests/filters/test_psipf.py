@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from linear_gaussian_tree import LinearGaussianTree, positions_of, tree_layout
 
-from mocap.filters import ParticleState, initial_particles, psipf_step, settings_for
-from mocap.filters.psipf import PsipfSettings, grid_offsets, grid_size
+from mocap.filters import FilterBudget, ParticleState, filter_settings, initial_particles
+from mocap.filters.psipf import PsipfSettings, grid_offsets, grid_size, psipf_step
 
 TREE = tree_layout([-1, 0, 0, 1, 1, 2], [2, 1, 1, 1, 2, 1])
 D, P = TREE.n_columns, TREE.n_parts
@@ -221,11 +221,11 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 
 def test_its_budget_gives_a_ball_joint_three_values_per_angle() -> None:
-    own = settings_for("psipf", layout=TREE, std=STD, n_particles=550, n_layers=4)
+    own = filter_settings(FilterBudget("psipf", n_particles=550, n_layers=4), TREE, STD)
     assert isinstance(own, PsipfSettings)
     assert (own.n_particles, own.n_kept) == (2200, 81)
     assert grid_size(3, own.n_particles // own.n_kept) == (3, 3)
-    small = settings_for("psipf", layout=TREE, std=STD, n_particles=5, n_layers=1)
+    small = filter_settings(FilterBudget("psipf", n_particles=5, n_layers=1), TREE, STD)
     assert small.n_kept == 1  # type: ignore[attr-defined]
 
 

@@ -8,8 +8,8 @@ from flesh_voxels import Flesh
 
 from mocap.body import landmarks_of, neutral_state
 from mocap.data import LANDMARKS, StateLayout
-from mocap.filters import RefineSettings, ScoutSettings, refine, scout_limbs
-from mocap.filters.scout import limbs_of
+from mocap.filters.refine import RefineSettings, refine
+from mocap.filters.scout import ScoutSettings, limbs_of, scout_limbs
 from mocap.likelihood.residuals import SurfaceFitSettings, SurfaceProblem, hull_surface
 from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 from mocap.pipeline.pose_problem import PersonHull, pack_volume

@@ -14,23 +14,10 @@ from linear_gaussian_tree import LinearGaussianTree, positions_of, tree_layout
 from mocap.body import landmarks_of, load_hierarchy, neutral_state
 from mocap.data import Hierarchy, Level
 from mocap.data.hierarchy import levels_on
-from mocap.filters import (
-    ParticleState,
-    ShbmSettings,
-    initial_particles,
-    settings_for,
-    shbm_settings,
-    shbm_step,
-)
+from mocap.filters import FilterBudget, ParticleState, filter_settings, initial_particles
 from mocap.filters.crossing import CROSS_EVERY, CROSSING, N_PARTITIONS, mirror
-from mocap.filters.shbm import structural_noise
-from mocap.filters.structural import (
-    backward,
-    effective_particles,
-    forward,
-    level_std,
-    particles_per_level,
-)
+from mocap.filters.shbm import ShbmSettings, shbm_step, structural_noise, structural_settings
+from mocap.filters.structural import backward, effective_particles, forward, level_std, particles_per_level
 from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
 from mocap.pipeline.pose_problem import pack_volume
 
@@ -134,7 +121,8 @@ def test_noise_of_the_three_models_is_as_printed() -> None:
     """CF Eq. 7.23-7.25 with alpha_S = 0.8, alpha = 0.5 and unequal numbers of layers, in covariances."""
     layers = (2, 3, 1)
     variance = [
-        level_std(LEVELS, i, STD, layers, alpha=0.5, alpha_structural=0.8) ** 2 / STD**2 for i in range(3)
+        level_std(LEVELS, i, STD, layers, survival_rate=0.5, structural_rate=0.8) ** 2 / STD**2
+        for i in range(3)
     ]
     np.testing.assert_allclose(variance[0], [1, 0, 0, 0, 0])
     np.testing.assert_allclose(variance[1], [0.8 * 0.5**2, 1, 1, 0, 0])
@@ -160,12 +148,13 @@ def test_particles_are_shared_out_by_dimensions() -> None:
 def test_settings_spend_the_budget_that_is_asked_for() -> None:
     """A particle of a coarse model costs its share of the parts; rounding to whole particles leaves a little."""
     for n in (500, 2200):
-        own = shbm_settings(LAYOUT, STD, n, hierarchy=HIERARCHY)
+        budget = FilterBudget("shbm-apf", n_particles=n, n_layers=1, hierarchy=HIERARCHY)
+        own = structural_settings(budget, LAYOUT, STD)
         cost = sum(
             k * 2 * len(level.parts) / 5 for k, level in zip(own.level_particles, LEVELS.levels, strict=True)
         )
         assert cost == pytest.approx(n, abs=5)
-    spread = settings_for("shbm-apf", layout=LAYOUT, std=STD, n_particles=120, n_layers=3)
+    spread = filter_settings(FilterBudget("shbm-apf", n_particles=120, n_layers=3), LAYOUT, STD)
     _, info = shbm_step(
         problem(), initial_particles(problem(), np.zeros(5), 9), spread, rng=np.random.default_rng(0)
     )
@@ -266,7 +255,7 @@ def test_bad_settings_are_refused() -> None:
         settings(crossing="incest")
     with pytest.raises(ValueError, match="systematic"):
         settings(resampling="lottery")
-    with pytest.raises(ValueError, match="the hierarchy has 3 levels"):
+    with pytest.raises(ValueError, match="the hierarchy three has 3 levels"):
         shbm_step(
             problem(),
             initial_particles(problem(), np.zeros(5), 9),

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from linear_gaussian_tree import LinearGaussianTree, positions_of, tree_layout
 
-from mocap.filters import FILTERS, ParticleState, SwarmSettings, initial_particles
-from mocap.filters.swarm import annealed_attraction, constant_attraction, exponential_attraction
+from mocap.filters import FILTERS, ParticleState, initial_particles
+from mocap.filters._swarm import SwarmSettings, annealed_attraction, constant_attraction
+from mocap.filters.apsopf import exponential_attraction
 
 TREE = tree_layout([-1, 0, 0, 1, 2], [2, 1, 1, 1, 2])
 D, P = TREE.n_columns, TREE.n_parts
@@ -57,7 +58,7 @@ def test_swarms_find_the_maximum_of_a_problem_that_has_one(name: str, seed: int)
     rng = np.random.default_rng(seed)
     state = start_of(problem)
     for _ in range(3):
-        state, info = FILTERS[name](problem, state, settings(80, 8), rng=rng)
+        state, info = FILTERS[name].step(problem, state, settings(80, 8), rng=rng)
     assert np.abs(positions_of(TREE) @ info.estimate - Z).max() < FOUND_WITHIN[name]
     assert not info.is_degenerate
 
@@ -66,7 +67,9 @@ def test_swarms_find_the_maximum_of_a_problem_that_has_one(name: str, seed: int)
 def test_swarms_stay_inside_their_bounds(name: str) -> None:
     tight = tree_layout([-1, 0, 0], [1, 2, 1], bound=0.25)
     problem = LinearGaussianTree(tight, np.array([2.0, 5.0, -1.0]), 0.2)
-    state, info = FILTERS[name](problem, start_of(problem), settings(30, 6, 4), rng=np.random.default_rng(0))
+    state, info = FILTERS[name].step(
+        problem, start_of(problem), settings(30, 6, 4), rng=np.random.default_rng(0)
+    )
     assert np.abs(state.particles).max() <= 0.25
     assert np.all(info.estimate * [1, 1, 1, -1] > 0.03), "pressed against the bounds"
 
@@ -92,7 +95,7 @@ def test_angles_are_pulled_the_short_way_round(name: str) -> None:
     problem = Turning()
     start = ParticleState(np.array([[3.0], [-3.0]] * 10), np.full(20, 0.05))
     tiny = replace(settings(20, 4, 1), std=np.array([0.01]), inertia=0.1, attraction=1.0)
-    _, info = FILTERS[name](problem, start, tiny, rng=np.random.default_rng(0))
+    _, info = FILTERS[name].step(problem, start, tiny, rng=np.random.default_rng(0))
     assert max(problem.seen) < 0.2
     assert np.cos(info.estimate[0]) < -0.99
 
@@ -111,7 +114,9 @@ class Recorder(LinearGaussianTree):
 def test_the_noise_shrinks_by_alpha_of_its_covariance_part_by_part() -> None:
     """The first draw and the first move use P_(0), each later move one factor alpha_0 more."""
     problem = Recorder(TREE, Z, NOISE)
-    FILTERS["hapsopf"](problem, start_of(problem), settings(10, 4, alpha=0.25), rng=np.random.default_rng(0))
+    FILTERS["hapsopf"].step(
+        problem, start_of(problem), settings(10, 4, covariance_factor=0.25), rng=np.random.default_rng(0)
+    )
     scales = np.array([1.0, 1.0, 0.5, 0.25, 0.125])
     for part in range(P):
         found = np.array(problem.stds[5 * part : 5 * part + 5])
@@ -119,7 +124,9 @@ def test_the_noise_shrinks_by_alpha_of_its_covariance_part_by_part() -> None:
         np.testing.assert_allclose(found[:, own], 0.3 * np.repeat(scales[:, None], len(own), axis=1))
         assert np.all(np.delete(found, own, axis=1) == 0)
     whole = Recorder(TREE, Z, NOISE)
-    FILTERS["apsopf"](whole, start_of(whole), settings(10, 2, alpha=0.25), rng=np.random.default_rng(0))
+    FILTERS["apsopf"].step(
+        whole, start_of(whole), settings(10, 2, covariance_factor=0.25), rng=np.random.default_rng(0)
+    )
     np.testing.assert_allclose(whole.stds, 0.3 * np.ones((3, D)) * [[1.0], [1.0], [0.5]])
 
 
@@ -130,9 +137,9 @@ def test_the_noise_pushes_no_way(name: str) -> None:
     problem = LinearGaussianTree(layout, np.zeros(2), 0.5)
     found = np.array(
         [
-            FILTERS[name](problem, start_of(problem), settings(10, 3, 2), rng=np.random.default_rng(seed))[
-                1
-            ].estimate
+            FILTERS[name]
+            .step(problem, start_of(problem), settings(10, 3, 2), rng=np.random.default_rng(seed))[1]
+            .estimate
             for seed in range(300)
         ]
     )
@@ -142,7 +149,7 @@ def test_the_noise_pushes_no_way(name: str) -> None:
 @pytest.mark.parametrize("name", SWARMS)
 def test_all_evaluations_are_counted(name: str) -> None:
     problem = LinearGaussianTree(TREE, Z, NOISE)
-    _, info = FILTERS[name](problem, start_of(problem), settings(20, 3), rng=np.random.default_rng(0))
+    _, info = FILTERS[name].step(problem, start_of(problem), settings(20, 3), rng=np.random.default_rng(0))
     calls = problem.calls[1:] if name in PART_BY_PART else problem.calls
     assert sum(n * len(parts) for n, parts, _ in calls) == 20 * 4 * P
     assert info.n_evaluations == 80
@@ -156,7 +163,7 @@ def test_all_evaluations_are_counted(name: str) -> None:
 @pytest.mark.parametrize("name", SWARMS)
 def test_the_best_has_the_value_that_is_said(name: str) -> None:
     problem = LinearGaussianTree(TREE, Z, NOISE)
-    state, info = FILTERS[name](problem, start_of(problem), settings(), rng=np.random.default_rng(0))
+    state, info = FILTERS[name].step(problem, start_of(problem), settings(), rng=np.random.default_rng(0))
     value = problem.log_likelihood(info.best[None]).sum()
     assert info.best_log_likelihood == pytest.approx(value)
     assert value == pytest.approx(problem.log_likelihood(state.particles).sum(axis=1).max())
@@ -177,7 +184,7 @@ def test_more_moves_never_end_lower(name: str) -> None:
     best = []
     for n_iterations in (0, 1, 2, 4):
         s = settings(15, n_iterations, 3, beta_max=1.0 + 1e-9)
-        _, info = FILTERS[name](problem, start_of(problem), s, rng=np.random.default_rng(3))
+        _, info = FILTERS[name].step(problem, start_of(problem), s, rng=np.random.default_rng(3))
         best.append(info.best_log_likelihood)
     assert best[0] <= best[1]
     assert best[0] <= best[2]
@@ -188,7 +195,7 @@ def test_more_moves_never_end_lower(name: str) -> None:
 def test_the_same_seed_gives_the_same_bytes(name: str) -> None:
     problem = LinearGaussianTree(TREE, Z, NOISE)
     (a, _), (b, _), (c, _) = (
-        FILTERS[name](problem, start_of(problem), settings(), rng=np.random.default_rng(seed))
+        FILTERS[name].step(problem, start_of(problem), settings(), rng=np.random.default_rng(seed))
         for seed in (4, 4, 5)
     )
     assert a.particles.tobytes() == b.particles.tobytes()
@@ -200,7 +207,7 @@ def test_the_same_seed_gives_the_same_bytes(name: str) -> None:
 @pytest.mark.parametrize("silence", [-np.inf, np.nan])
 def test_zero_weights_everywhere_are_survived_and_said(name: str, silence: float) -> None:
     problem = LinearGaussianTree(TREE, Z, NOISE, silent=tuple(range(P)), silence=silence)
-    state, info = FILTERS[name](problem, start_of(problem), settings(), rng=np.random.default_rng(0))
+    state, info = FILTERS[name].step(problem, start_of(problem), settings(), rng=np.random.default_rng(0))
     assert info.is_degenerate
     assert np.isfinite(state.particles).all()
     assert np.isfinite(info.estimate).all()
@@ -212,7 +219,7 @@ def test_a_part_without_data_does_not_stop_the_others(name: str) -> None:
     problem = LinearGaussianTree(TREE, Z, NOISE, silent=(2,))
     rng, state = np.random.default_rng(0), start_of(problem)
     for _ in range(3):
-        state, info = FILTERS[name](problem, state, settings(80, 8), rng=rng)
+        state, info = FILTERS[name].step(problem, state, settings(80, 8), rng=rng)
     assert info.is_degenerate
     seen = [0, 1, 3]
     assert np.abs((positions_of(TREE) @ info.estimate - Z)[seen]).max() < 0.15
@@ -223,7 +230,7 @@ def test_two_particles_parts_without_columns_and_forests(name: str) -> None:
     forest = tree_layout([-1, -1, 0, 1, 1], [1, 2, 0, 1, 1])
     problem = LinearGaussianTree(forest, np.zeros(5), NOISE)
     s = settings(2, 1, forest.n_columns)
-    state, info = FILTERS[name](problem, start_of(problem), s, rng=np.random.default_rng(0))
+    state, info = FILTERS[name].step(problem, start_of(problem), s, rng=np.random.default_rng(0))
     assert state.particles.shape == (2, 5)
     assert np.isfinite(info.estimate).all()
 
@@ -232,14 +239,14 @@ def test_two_particles_parts_without_columns_and_forests(name: str) -> None:
 def test_a_global_likelihood_is_refused(name: str) -> None:
     problem = LinearGaussianTree(TREE, Z, NOISE, is_global=True)
     with pytest.raises(ValueError, match="part by part"):
-        FILTERS[name](problem, start_of(problem), settings(), rng=np.random.default_rng(0))
+        FILTERS[name].step(problem, start_of(problem), settings(), rng=np.random.default_rng(0))
 
 
 def test_bad_settings_are_refused() -> None:
     bad: tuple[tuple[dict[str, object], str], ...] = (
         ({"n_particles": 1}, "n_particles"),
         ({"n_iterations": -1}, "n_iterations"),
-        ({"alpha": 0.0}, "alpha"),
+        ({"covariance_factor": 0.0}, "covariance_factor"),
         ({"beta_0": 1.5}, "beta_0"),
         ({"beta_min": 4.0}, "beta_min"),
         ({"resampling": "lottery"}, "lottery"),

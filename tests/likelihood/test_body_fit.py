@@ -8,7 +8,7 @@ from flesh_voxels import Flesh, make_flesh
 from outline_world import bent, make_rig, outlines_of, problem_of
 
 from mocap.body import neutral_state
-from mocap.filters import RefineSettings, refine
+from mocap.filters.refine import RefineSettings, refine
 from mocap.likelihood.residuals import BodyFit, SumProblem, SurfaceFitSettings, SurfaceProblem, hull_surface
 from mocap.likelihood.residuals import _descent_kernels as kernels
 from mocap.pipeline.pose_problem import pack_volume

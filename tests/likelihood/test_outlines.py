@@ -21,7 +21,7 @@ from outline_world import (
 
 from mocap.body import cones_of, landmarks_of
 from mocap.data import CameraRig
-from mocap.filters import RefineSettings, refine
+from mocap.filters.refine import RefineSettings, refine
 from mocap.likelihood.residuals import OutlineFitSettings, Outlines, SumProblem, person_outlines, pinhole_view
 from mocap.likelihood.residuals import _outline_kernels as kernels
 

@@ -8,7 +8,8 @@ from marker_world import marching
 from mocap.body import landmarks_of, load_body_model, scale_body
 from mocap.body.average import mean_state
 from mocap.data import LANDMARKS
-from mocap.filters import ParticleState, apf_step, initial_particles
+from mocap.filters import ParticleState, filter_settings, initial_particles
+from mocap.filters.apf import apf_step
 from mocap.filters.scout import limbs_of
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.estimate import (
@@ -23,8 +24,8 @@ from mocap.pipeline.estimate import (
     point_estimate,
     smooth_motion,
 )
-from mocap.pipeline.filter_settings import filter_settings
 from mocap.pipeline.pose_problem import make_tools
+from mocap.pipeline.pose_settings import filter_budget
 
 BODY = scale_body(load_body_model("anthropometric"), 1.77)
 LAYOUT = BODY.layout
@@ -170,7 +171,7 @@ def test_point_estimates_of_a_filters_particles(kind: str) -> None:
     pose = PoseConfig(n_layers=3, n_particles=80, estimate=kind)  # type: ignore[arg-type]
     tools = make_tools(flesh.grid, FPS, 1.74, "anthropometric", pose, LikelihoodConfig(), 1)
     problem = tools.frame(flesh.hull(truth)).voxels
-    settings = filter_settings(pose, LAYOUT, tools.noise_std)
+    settings = filter_settings(filter_budget(pose, LAYOUT), LAYOUT, tools.noise_std)
     start = initial_particles(problem, truth, 80)
     particles, info = apf_step(problem, start, settings, rng=np.random.default_rng(1))
     found = point_estimate(flesh.body, particles, info, kind)

@@ -13,7 +13,6 @@ from mocap.body.markers import load_marker_set, place_markers
 from mocap.data import Tracks
 from mocap.data.detections import Detections
 from mocap.errors import MocapError
-from mocap.filters import PART_BY_PART
 from mocap.foreground.marker_detector import (
     MarkerColour,
     MarkerDetectorSettings,
@@ -28,6 +27,7 @@ from mocap.likelihood.markers import MarkerObservation, marker_views, observe
 from mocap.pipeline.config import Config, MarkersConfig
 from mocap.pipeline.markers import flesh_centroids, follow_markers
 from mocap.pipeline.pose import PersonPoses
+from mocap.pipeline.pose_settings import check_filter
 from mocap.pipeline.stages.pose import store_poses
 from mocap.pipeline.stages.report import Progress, StageReport
 
@@ -62,12 +62,7 @@ def check_marker_config(config: Config) -> None:
     """The marker set against the body, and the filter against the likelihood, before any work is done."""
     body = scale_body(load_body_model(config.body_model("markers")), 1.0)
     place_markers(load_marker_set(config.body.marker_set), body)
-    if config.pose.filter in PART_BY_PART and not config.markers.factorised:
-        raise MocapError(
-            f"configuration: the filter {config.pose.filter} places the body part by part and needs a likelihood of "
-            "every part",
-            remedy="set markers.factorised to true, or take another filter",
-        )
+    check_filter(config.pose, "markers", factorised=config.markers.factorised)
 
 
 def marker_inputs(session: Session) -> list[Path]:

@@ -1,5 +1,6 @@
 """From configuration to settings: budgets, scalable bodies, limbs, and flags of lost limbs at the landmarks."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,38 +11,35 @@ from flesh_voxels import make_flesh
 from mocap.body import neutral_state
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
-from mocap.filters import (
-    FILTERS,
-    DdmaSettings,
-    DdmaState,
-    FilterInfo,
-    ParticleState,
-    ShbmDdmaSettings,
-    ShbmSettings,
-    settings_for,
-)
+from mocap.filters import FILTERS, FilterBudget, FilterInfo, FilterSettings, ParticleState, filter_settings
+from mocap.filters.ddma import DdmaSettings, DdmaState, ShbmDdmaSettings
+from mocap.filters.shbm import ShbmSettings
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig, load_config
-from mocap.pipeline.filter_settings import filter_settings
 from mocap.pipeline.pose import filter_frames
 from mocap.pipeline.pose_problem import make_tools
+from mocap.pipeline.pose_settings import filter_budget
 
 FLESH = make_flesh("anthropometric", 1.74, 0.04)
 LAYOUT = FLESH.body.layout
 STD = 0.5 * FLESH.body.max_speed / 25
 
 
+def settings_of(pose: PoseConfig) -> FilterSettings:
+    return filter_settings(filter_budget(pose, LAYOUT), LAYOUT, STD)
+
+
 def settings(**keys: object) -> object:
-    return filter_settings(PoseConfig(**keys), LAYOUT, STD)  # type: ignore[arg-type]
+    return settings_of(PoseConfig(**keys))  # type: ignore[arg-type]
 
 
 def test_the_preset_is_the_published_run() -> None:
     """CF Eq. 7.29: 300, 500 and 300 particles, two layers each."""
     pose = load_config("reference_shbm").pose
-    own = filter_settings(pose, LAYOUT, STD)
+    own = settings_of(pose)
     assert isinstance(own, ShbmSettings)
     assert own.level_particles == (300, 500, 300)
     assert own.n_layers == (2, 2, 2)
-    assert (own.alpha, own.alpha_structural) == (0.5, 0.8)
+    assert (own.survival_rate, own.structural_rate) == (0.5, 0.8)
     assert own.hierarchy is not None
     assert own.hierarchy.name == "model2"
     assert not pose.refine
@@ -79,7 +77,7 @@ def test_keys_reach_the_settings() -> None:
     assert isinstance(own, ShbmDdmaSettings)
     assert own.shbm.level_particles == (10, 20, 30)
     assert own.shbm.n_layers == (3, 3, 3)
-    assert (own.shbm.alpha, own.shbm.alpha_structural, own.shbm.crossing) == (0.4, 0.7, "direct")
+    assert (own.shbm.survival_rate, own.shbm.structural_rate, own.shbm.crossing) == (0.4, 0.7, "direct")
     assert own.limbs.own_data
     assert own.limbs.lost_spread_share is not None
     assert own.limbs.limbs is not None
@@ -93,7 +91,7 @@ def test_keys_reach_the_settings() -> None:
 
 def test_other_filters_are_as_before() -> None:
     own = settings(filter="apf", n_layers=3, n_particles=70)
-    same = settings_for("apf", layout=LAYOUT, std=STD, n_particles=70, n_layers=3)
+    same = filter_settings(FilterBudget("apf", n_particles=70, n_layers=3), LAYOUT, STD)
     assert type(own) is type(same)
     assert own.n_particles == same.n_particles  # type: ignore[attr-defined]
 
@@ -139,7 +137,7 @@ def test_lost_parts_reach_the_landmarks_and_states_keep_their_kind(
         )
         return DdmaState(np.tile(truth, (7, 1)), np.full(7, 1 / 7), (len(seen),)), info
 
-    monkeypatch.setitem(FILTERS, "apf", step)
+    monkeypatch.setitem(FILTERS, "apf", replace(FILTERS["apf"], step=step))
     pose = PoseConfig(filter="apf", refine=feeds_back, scouts=False, follow_track=True, outline_weight=0.0)
     tools = make_tools(FLESH.grid, 12.5, 1.74, "anthropometric", pose, LikelihoodConfig(), 1)
     hull = FLESH.hull(truth, margin_m=0.02)

@@ -1,4 +1,4 @@
-"""Particle swarms, on the whole state (PSO, APSOPF) or part after part (HPSO, CHAPSOPF, HAPSOPF)."""
+"""What the swarm filters share: a swarm's search, over the whole state or part after part."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data.problem import ArticulatedProblem
-from mocap.filters.apf import FilterInfo, ParticleState
+from mocap.data.problem import ArticulatedProblem, StateLayout
+from mocap.filters.budget import FilterBudget
 from mocap.filters.estimate import weighted_mean
 from mocap.filters.parts import part_scores, require_parts
 from mocap.filters.resampling import RESAMPLING
+from mocap.filters.state import FilterInfo, ParticleState
 from mocap.filters.timing import Stopwatch
 from mocap.filters.weights import effective_sample_size, normalise_log_weights
 from mocap.geometry.rigid import wrap_angle
@@ -32,7 +33,7 @@ class SwarmSettings:
     n_particles: int
     n_iterations: int
     std: Array
-    alpha: float = 0.5
+    covariance_factor: float = 0.5
     """Factor on the covariance of the sampling noise from iteration to iteration (alpha_0)."""
     beta_0: float = 0.5
     beta_max: float = 3.0
@@ -56,8 +57,8 @@ class SwarmSettings:
                 "0 < beta_0 <= 1 and 0 < beta_min < beta_max, got "
                 f"{self.beta_0}, {self.beta_min} and {self.beta_max}"
             )
-        if not 0 < self.alpha < 1:
-            raise ValueError(f"alpha must lie in (0, 1), got {self.alpha}")
+        if not 0 < self.covariance_factor < 1:
+            raise ValueError(f"covariance_factor must lie in (0, 1), got {self.covariance_factor}")
 
 
 def annealed_attraction(settings: SwarmSettings, m: int) -> float:
@@ -66,18 +67,13 @@ def annealed_attraction(settings: SwarmSettings, m: int) -> float:
     return settings.beta_0 * settings.beta_max * ratio ** (-m / settings.n_iterations)
 
 
-def exponential_attraction(settings: SwarmSettings, m: int) -> float:
-    """Attraction of APSOPF in iteration m = 1..M.  Source: XN Eq. 3.9."""
-    return settings.beta_0 * float(np.exp(1.0 - m / settings.n_iterations))
-
-
 def constant_attraction(settings: SwarmSettings, m: int) -> float:
     """Attraction of the canonical swarm.  Source: XN Eq. 3.6."""
     return settings.attraction
 
 
 @dataclass(frozen=True)
-class _Kind:
+class Swarm:
     """What tells the swarm filters apart.
 
     has_velocity : moves keep a share of the last one; else they get sampling noise that shrinks.
@@ -91,19 +87,13 @@ class _Kind:
     is_carried_on: bool
 
 
-_PSO = _Kind(constant_attraction, has_velocity=True, is_estimate_best=True, is_carried_on=False)
-_APSOPF = _Kind(exponential_attraction, has_velocity=False, is_estimate_best=False, is_carried_on=True)
-_CHAPSOPF = _Kind(annealed_attraction, has_velocity=True, is_estimate_best=False, is_carried_on=True)
-_HAPSOPF = _Kind(annealed_attraction, has_velocity=False, is_estimate_best=False, is_carried_on=True)
-
-
 def fly(
     problem: ArticulatedProblem,
     score: Callable[[Array], Array],
     x: Array,
     columns: Indices,
     settings: SwarmSettings,
-    kind: _Kind,
+    kind: Swarm,
     *,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
@@ -143,7 +133,7 @@ def fly(
             x = moved
         else:
             velocity = np.zeros(size)
-            x = problem.propagate(moved, std * settings.alpha ** (0.5 * (m - 1)), rng=rng)
+            x = problem.propagate(moved, std * settings.covariance_factor ** (0.5 * (m - 1)), rng=rng)
         value = score(x)
         is_better = value > best_value
         best = np.where(is_better[:, None], x, best)
@@ -151,7 +141,7 @@ def fly(
     return best, best_value
 
 
-def _start(state: ParticleState, settings: SwarmSettings, kind: _Kind, *, rng: np.random.Generator) -> Array:
+def _start(state: ParticleState, settings: SwarmSettings, kind: Swarm, *, rng: np.random.Generator) -> Array:
     n = settings.n_particles
     if kind.is_carried_on and len(state.weights) == n:
         return state.particles
@@ -163,7 +153,7 @@ def _finish(
     particles: Array,
     log_weights: Array,
     settings: SwarmSettings,
-    kind: _Kind,
+    kind: Swarm,
     is_degenerate: bool,
     watch: Stopwatch,
 ) -> tuple[ParticleState, FilterInfo]:
@@ -184,11 +174,11 @@ def _finish(
     return ParticleState(particles, weights), info
 
 
-def _whole_step(
+def whole_step(
     problem: ArticulatedProblem,
     state: ParticleState,
     settings: SwarmSettings,
-    kind: _Kind,
+    kind: Swarm,
     *,
     rng: np.random.Generator,
 ) -> tuple[ParticleState, FilterInfo]:
@@ -206,11 +196,11 @@ def _whole_step(
     return _finish(problem, best, value, settings, kind, False, watch)
 
 
-def _part_step(
+def part_step(
     problem: ArticulatedProblem,
     state: ParticleState,
     settings: SwarmSettings,
-    kind: _Kind,
+    kind: Swarm,
     *,
     rng: np.random.Generator,
     is_chained: bool = False,
@@ -243,72 +233,13 @@ def _part_step(
     return _finish(problem, x, log_weights, settings, kind, is_degenerate, watch)
 
 
-def pso_step(
-    problem: ArticulatedProblem,
-    state: ParticleState,
-    settings: SwarmSettings,
-    *,
-    rng: np.random.Generator,
-) -> tuple[ParticleState, FilterInfo]:
-    """One frame of particle swarm optimisation on the whole state; the estimate is the best particle.
-
-    Source: XN 3.2.2, Alg. 3.4.
-    """
-    return _whole_step(problem, state, settings, _PSO, rng=rng)
-
-
-def apsopf_step(
-    problem: ArticulatedProblem,
-    state: ParticleState,
-    settings: SwarmSettings,
-    *,
-    rng: np.random.Generator,
-) -> tuple[ParticleState, FilterInfo]:
-    """One frame of the annealed particle swarm on the whole state.
-
-    Source: XN 3.2.2, Eq. 3.9.
-    """
-    return _whole_step(problem, state, settings, _APSOPF, rng=rng)
-
-
-def hpso_step(
-    problem: ArticulatedProblem,
-    state: ParticleState,
-    settings: SwarmSettings,
-    *,
-    rng: np.random.Generator,
-) -> tuple[ParticleState, FilterInfo]:
-    """One frame of hierarchical particle swarm optimisation: every part is settled before the next is searched.
-
-    All particles end at one pose: an optimiser has no spread.
-    Source: XN 3.2.5; departs from it: the next part's last state is no extra constraint.
-    """
-    return _part_step(problem, state, settings, _PSO, rng=rng, is_chained=True)
-
-
-def chapsopf_step(
-    problem: ArticulatedProblem,
-    state: ParticleState,
-    settings: SwarmSettings,
-    *,
-    rng: np.random.Generator,
-) -> tuple[ParticleState, FilterInfo]:
-    """One frame of HAPSOPF with an inertial velocity in the place of the sampling noise.
-
-    Source: XN 6.2.
-    """
-    return _part_step(problem, state, settings, _CHAPSOPF, rng=rng)
-
-
-def hapsopf_step(
-    problem: ArticulatedProblem,
-    state: ParticleState,
-    settings: SwarmSettings,
-    *,
-    rng: np.random.Generator,
-) -> tuple[ParticleState, FilterInfo]:
-    """One frame of the hierarchical annealed particle swarm: a swarm per part that trusts its leader less and less.
-
-    Source: XN Alg. 6.1.
-    """
-    return _part_step(problem, state, settings, _HAPSOPF, rng=rng)
+def swarm_settings(budget: FilterBudget, layout: StateLayout, std: Array) -> SwarmSettings:
+    """One draw and n_layers - 1 moves of n_particles, but at least one move: a swarm of one layer is two of half."""
+    n_iterations = max(budget.n_layers - 1, 1)
+    return SwarmSettings(
+        n_particles=max(budget.n_evaluations // (n_iterations + 1), 2),
+        n_iterations=n_iterations,
+        std=std,
+        covariance_factor=budget.survival_rate,
+        resampling=budget.resampling,
+    )
