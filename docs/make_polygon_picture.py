@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.filters import FILTERS, FilterBudget, filter_settings, initial_particles
-from mocap.likelihood.polygons import random_walk_std
+from mocap.polygons.likelihood import random_walk_std
 from mocap.synth.polygons import (
     SMALL,
     PolygonScene,

@@ -23,9 +23,10 @@ ARROWS: dict[str, frozenset[str]] = {
     "io": frozenset({"data", "geometry"}),
     "view": frozenset({"data", "geometry"}),
     "pipeline": frozenset({"data", "geometry", "io", "view", *STAGES}),
-    # Synthetic sessions with exact truth: of the product's rooms it needs the containers and the file formats, and the
-    # likelihood of the 2D polygon world.
-    "synth": frozenset({"data", "io", "likelihood"}),
+    # The 2D world on which the sources compare filters, apart from the product's rooms.
+    "polygons": frozenset({"data"}),
+    # Synthetic sessions with exact truth: of the product's rooms it needs the containers and the file formats.
+    "synth": frozenset({"data", "io", "polygons"}),
     "cli": frozenset(
         {"data", "geometry", "io", "view", "pipeline", "synth", "cli_cluster", "cli_tools", *STAGES}
     ),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eval.bench.registry import interleaved_medians, measure
-from mocap.likelihood.polygons import PolygonProblem
+from mocap.polygons.likelihood import PolygonProblem
 
 _SEED = 13
 _N_PARTICLES = 600
@@ -18,7 +18,7 @@ _N_NUMPY = 2
 @lru_cache(maxsize=1)
 def _scene() -> tuple[PolygonProblem, NDArray[np.float64]]:
     """An object of 4 arms of 5 parts in 800 x 640 and particles around its true state."""
-    from mocap.likelihood.polygons import random_walk_std
+    from mocap.polygons.likelihood import random_walk_std
     from mocap.synth.polygons import PolygonSceneSettings, make_polygon_scene
 
     scene = make_polygon_scene(PolygonSceneSettings(n_arms=4, n_levels=6), rng=np.random.default_rng(_SEED))
@@ -40,7 +40,7 @@ def polygon_part_evals_per_s() -> float:
 @measure("polygon_over_numpy", unit="x", better="higher")
 def polygon_over_numpy() -> float:
     """How many times faster than the same scores with numpy; both give the same numbers."""
-    from mocap.likelihood.polygons import polygon_scores, polygon_scores_numpy
+    from mocap.polygons.likelihood import polygon_scores, polygon_scores_numpy
 
     problem, particles = _scene()
     args = problem.tree, problem.bins, problem.reference

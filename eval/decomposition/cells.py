@@ -17,16 +17,16 @@ from eval.decomposition.readings import (
     filter_named,
     to_relative,
 )
-from mocap.data.polygons import PolygonTree, corner_positions, object_trees
 from mocap.data.problem import ArticulatedProblem
 from mocap.filters import FilterBudget, ParticleState, initial_particles
-from mocap.likelihood.polygons import (
+from mocap.polygons import corner_error
+from mocap.polygons.likelihood import (
     PolygonLikelihoodSettings,
     PolygonProblem,
     part_histograms,
     random_walk_std,
 )
-from mocap.metrics import corner_error
+from mocap.polygons.tree import PolygonTree, corner_positions, object_trees
 from mocap.synth.polygons import SMALL, PolygonScene, PolygonSceneSettings, make_polygon_scene
 
 Array = NDArray[np.float64]

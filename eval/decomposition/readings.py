@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data.polygons import PolygonTree
 from mocap.data.problem import ArticulatedProblem, StateLayout
 from mocap.filters import FILTERS, Filter, FilterInfo, ParticleState, Step
 from mocap.filters._swarm import SwarmSettings
@@ -20,7 +19,8 @@ from mocap.filters.pfcr import combine_parts
 from mocap.filters.psapf import PsapfSettings, psapf_step, sbapf_step
 from mocap.filters.resampling import systematic
 from mocap.filters.weights import normalise_log_weights
-from mocap.likelihood.polygons import PolygonProblem, polygon_scores
+from mocap.polygons.likelihood import PolygonProblem, polygon_scores
+from mocap.polygons.tree import PolygonTree
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,6 @@
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.hierarchy import Hierarchy, Level, Limb
 from mocap.data.motion import BONES, LANDMARKS, Motion, Tracks
-from mocap.data.polygons import PolygonTree, corner_positions, object_trees, part_frames, star_tree
 from mocap.data.problem import ArticulatedProblem, ResidualProblem, StateLayout
 from mocap.data.skeleton import Skeleton
 from mocap.data.voxels import Hull, VoxelGrid
@@ -19,14 +18,9 @@ __all__ = [
     "Level",
     "Limb",
     "Motion",
-    "PolygonTree",
     "ResidualProblem",
     "Skeleton",
     "StateLayout",
     "Tracks",
     "VoxelGrid",
-    "corner_positions",
-    "object_trees",
-    "part_frames",
-    "star_tree",
 ]

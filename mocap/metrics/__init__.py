@@ -23,7 +23,6 @@ from mocap.metrics.points import (
     quantile_line,
     with_offsets,
 )
-from mocap.metrics.polygons import corner_error
 from mocap.metrics.reference import ReferenceFit, fit_reference_skeleton
 from mocap.metrics.smoothness import SmoothnessScores, smoothness_scores
 from mocap.metrics.tracking import IdentityScores, TrackingScores, identity_scores, tracking_scores
@@ -49,7 +48,6 @@ __all__ = [
     "angle_differences",
     "angle_scores",
     "associate_persons",
-    "corner_error",
     "coverage_scores",
     "detailed_scores",
     "epsilon_lilliefors",

@@ -24,14 +24,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data.polygons import PolygonTree, corner_positions, star_tree
-from mocap.likelihood.polygons import (
+from mocap.polygons.likelihood import (
     FOREGROUND_BIT,
     PolygonLikelihoodSettings,
     PolygonProblem,
     colour_bins,
     part_histograms,
 )
+from mocap.polygons.tree import PolygonTree, corner_positions, star_tree
 
 Array = NDArray[np.float64]
 

@@ -17,16 +17,16 @@ from eval.decomposition.readings import (
 from eval.decomposition.tables import Seeds, Table
 from eval.decomposition_as_printed import as_printed
 from eval.decomposition_regimes import FIRST_SCENE, WORLDS_4_5, WORLDS_6, chapter_6, chapters_4_5
-from mocap.data.polygons import part_frames, star_tree
 from mocap.filters import FILTERS, FilterBudget, ParticleState, filter_settings, initial_particles
 from mocap.filters.partitioned import Partial
 from mocap.filters.pfcr import combine_parts
-from mocap.likelihood.polygons import (
+from mocap.polygons.likelihood import (
     PolygonLikelihoodSettings,
     PolygonProblem,
     polygon_scores,
     random_walk_std,
 )
+from mocap.polygons.tree import part_frames, star_tree
 
 SEEDS = Seeds(scenes=(0, 1), runs=(0, 1, 2), n_workers=1, is_full=False, n_frames=5)
 TREE = star_tree(n_arms=3, n_levels=4)

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mocap.data.polygons import part_frames
-from mocap.likelihood.polygons import colour_bins
+from mocap.polygons.likelihood import colour_bins
+from mocap.polygons.tree import part_frames
 from mocap.synth.polygons import (
     PALETTE,
     SMALL,

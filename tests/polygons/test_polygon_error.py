@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocap.metrics import corner_error
+from mocap.polygons import corner_error
 
 
 def test_a_shift_counts_once_per_corner() -> None:

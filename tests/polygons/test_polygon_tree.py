@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocap.data.polygons import PolygonTree, corner_positions, object_trees, part_frames, star_tree
+from mocap.polygons.tree import PolygonTree, corner_positions, object_trees, part_frames, star_tree
 
 # Sums of a few sines and products of numbers up to 1e3.
 ROUNDING_PX = 1e-9

@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocap.data.polygons import PolygonTree, star_tree
 from mocap.data.problem import StateLayout
-from mocap.likelihood import _polygon_kernels as kernels
-from mocap.likelihood.polygons import (
+from mocap.polygons import _kernels as kernels
+from mocap.polygons.likelihood import (
     PolygonLikelihoodSettings,
     PolygonProblem,
     colour_bins,
@@ -17,6 +16,7 @@ from mocap.likelihood.polygons import (
     polygon_scores_numpy,
     random_walk_std,
 )
+from mocap.polygons.tree import PolygonTree, star_tree
 
 # Both sum 24 products of numbers below 1 in another order.
 ROUNDING = 1e-12

@@ -1,4 +1,4 @@
-"""Colour histograms of convex polygons by scan lines; the honest twin is `polygons.polygon_scores_numpy`.
+"""Colour histograms of convex polygons by scan lines; the honest twin is `likelihood.polygon_scores_numpy`.
 
 A pixel is one uint16: three colour bins of three bits and a bit for the foreground. Uniform colours come in runs along
 a row, so that counting runs instead of pixels needs one comparison per pixel and no histogram access.

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data.polygons import PolygonTree, corner_positions
 from mocap.data.problem import StateLayout
-from mocap.likelihood._polygon_kernels import N_BINS, polygon_histograms_kernel, polygon_scores_kernel
+from mocap.polygons._kernels import N_BINS, polygon_histograms_kernel, polygon_scores_kernel
+from mocap.polygons.tree import PolygonTree, corner_positions
 
 Array = NDArray[np.float64]
 Bins = NDArray[np.uint16]
