@@ -33,11 +33,13 @@ from mocap.io.video import FrameReader, iter_clip
 from mocap.likelihood.colours import ColourProblem, new_appearance
 from mocap.metrics import epsilon_lilliefors, point_errors
 from mocap.pipeline.config import load_config
-from mocap.pipeline.outputs import body_parts
 from mocap.pipeline.pose import PersonPoses
 from mocap.pipeline.pose_problem import PersonHull, PoseTools, make_tools
-from mocap.pipeline.stages import hull_from_arrays, masks_from_arrays, stored_grid, stored_poses
+from mocap.pipeline.products.poses import stored_poses
+from mocap.pipeline.scene_frames import body_parts
 from mocap.pipeline.stages.pose import hulls_of_person
+from mocap.products.hulls import hull_from_arrays, stored_grid
+from mocap.products.masks import masks_from_arrays
 from mocap.view import (
     contact_sheet,
     crop,

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from mocap.data import Hull
 from mocap.io.store import StageStore
-from mocap.pipeline.stages import hull_from_arrays, stored_grid
 from mocap.pipeline.tracking import tracker_input
+from mocap.products.hulls import hull_from_arrays, stored_grid
 from mocap.tracking import TrackerSettings, TrackerState, TrackInfo, track_step
 
 PICTURE = Path(__file__).with_name("pictures") / "trackers.png"

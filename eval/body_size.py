@@ -69,15 +69,16 @@ def measure(name: str, work: Path, seed: int) -> list[dict[str, Any]]:
     from mocap.io.session import open_session
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
-    from mocap.pipeline import stages
     from mocap.pipeline.config import load_config
     from mocap.pipeline.pose import estimate_height, start_person
     from mocap.pipeline.pose_problem import make_tools
     from mocap.pipeline.stages.pose import hulls_of_person
+    from mocap.products.hulls import stored_grid
+    from mocap.products.tracks import stored_tracks
 
     folder, out = prepare(name, work, trust_store=True)
     session, store, config = open_session(folder), StageStore(out / "store.zarr"), load_config()
-    grid, tracks = stages.stored_grid(store), stages.stored_tracks(store, session.fps)
+    grid, tracks = stored_grid(store), stored_tracks(store, session.fps)
     about = json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))["persons"]
     truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
     rows = []

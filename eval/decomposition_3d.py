@@ -95,7 +95,7 @@ def prepare(work: Path, n_frames: int) -> Clip:
     from mocap.pipeline.config import load_config
     from mocap.pipeline.pose_problem import PersonHull, make_tools, pack_volume
     from mocap.pipeline.run import run_session
-    from mocap.pipeline.stages.carve import stored_grid
+    from mocap.products.hulls import stored_grid
     from mocap.synth import load_scene, synthesise
     from mocap.volume import surface_voxels
 

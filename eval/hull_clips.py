@@ -65,7 +65,7 @@ def load_clip(
     from mocap.pipeline.config import load_config
     from mocap.pipeline.pose_problem import PersonHull, pack_volume
     from mocap.pipeline.run import run_session
-    from mocap.pipeline.stages import stored_grid
+    from mocap.products.hulls import stored_grid
     from mocap.synth import synthesise
     from mocap.volume import surface_voxels
 

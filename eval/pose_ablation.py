@@ -70,17 +70,18 @@ def measure(folder: Path, out: Path, settings: tuple[str, ...], seed: int) -> di
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
     from mocap.metrics import evaluate
-    from mocap.pipeline import stages
     from mocap.pipeline.config import load_config
-    from mocap.pipeline.run import motion_of
+    from mocap.pipeline.products.poses import motion_of
+    from mocap.pipeline.stages.pose import estimate_poses
+    from mocap.products.tracks import stored_tracks
 
     session, store = open_session(folder), StageStore(out / "store.zarr")
     started = time.perf_counter()
-    poses = stages.estimate_poses(
+    poses = estimate_poses(
         session,
         load_config("default", settings),
         store,
-        stages.stored_tracks(store, session.fps),
+        stored_tracks(store, session.fps),
         seed=seed,
         n_threads=1,
         progress=lambda stage, done, total: None,

@@ -94,15 +94,16 @@ def _measured(name: str, seed: int, work: Path) -> dict[str, Any]:
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
     from mocap.metrics import associate_persons
-    from mocap.pipeline import stages
     from mocap.pipeline.config import load_config
     from mocap.pipeline.estimate import landmark_misfit
+    from mocap.pipeline.stages.pose import estimate_poses
+    from mocap.products.tracks import stored_tracks
 
     folder, out = prepare(name, work, trust_store=True)
     session, store = open_session(folder), StageStore(out / "store.zarr")
-    tracks = stages.stored_tracks(store, session.fps)
+    tracks = stored_tracks(store, session.fps)
     early = tracks.frame < session.frames.start + N_FRAMES
-    found = stages.estimate_poses(
+    found = estimate_poses(
         session,
         load_config(),
         store,

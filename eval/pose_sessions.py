@@ -79,7 +79,8 @@ def sessions(only: set[str] | None) -> list[tuple[str, Path | None]]:
 def measure(name: str, folder: Path | None, preset: str, seed: int, work: Path) -> dict[str, Any]:
     """One run: scores and speed as a flat row."""
     from mocap.pipeline.config import load_config
-    from mocap.pipeline.run import peak_memory_mb, run_session
+    from mocap.pipeline.run import run_session
+    from mocap.portable import peak_memory_mb
 
     if folder is None:
         from mocap.synth import synthesise

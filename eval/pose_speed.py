@@ -27,18 +27,19 @@ def measure(scene: str, preset: str, n_threads: int, work: Path) -> dict[str, An
     """One run of the pose stage: seconds before the first frame, and milliseconds per frame after it."""
     from mocap.io.session import open_session
     from mocap.io.store import StageStore
-    from mocap.pipeline import stages
     from mocap.pipeline.config import load_config
+    from mocap.pipeline.stages.pose import estimate_poses
+    from mocap.products.tracks import stored_tracks
 
     folder, out = prepare(scene, work, trust_store=False)
     session, store = open_session(folder), StageStore(out / "store.zarr")
     ticks: list[float] = []
     begun = time.perf_counter()
-    poses = stages.estimate_poses(
+    poses = estimate_poses(
         session,
         load_config(preset),
         store,
-        stages.stored_tracks(store, session.fps),
+        stored_tracks(store, session.fps),
         seed=0,
         n_threads=n_threads,
         progress=lambda stage, done, total: ticks.append(time.perf_counter()),

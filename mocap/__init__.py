@@ -50,7 +50,7 @@ _HOMES = {
     "evaluate": "mocap.metrics",
     # the whole
     "Config": "mocap.pipeline.config",
-    "RunResult": "mocap.pipeline.run",
+    "RunResult": "mocap.pipeline.record",
     "load_config": "mocap.pipeline.config",
     "run_session": "mocap.pipeline.run",
 }

@@ -17,7 +17,8 @@ from mocap import cli_cluster, cli_tools
 from mocap.errors import MocapError
 
 if TYPE_CHECKING:
-    from mocap.pipeline.run import Progress, RunResult
+    from mocap.pipeline.record import RunResult
+    from mocap.pipeline.stage import Progress
 
 app = typer.Typer(
     name="mocap",
@@ -295,9 +296,9 @@ def demo(
         threads=None,
         resume=False,
     )
-    from mocap.pipeline.run import write_text
+    from mocap.io._files import atomic_text
 
-    write_text(out / "result" / "scores.json", json.dumps(result.scores, indent=1) + "\n")
+    atomic_text(out / "result" / "scores.json", json.dumps(result.scores, indent=1) + "\n")
     typer.echo(f"Done in {time.perf_counter() - started:.0f} s. What to do next:")
     typer.echo(f"  open {out / 'result' / 'report.html'} in a browser: pictures, errors, timing")
     typer.echo(f"  load {out / 'result' / 'person_1.bvh'} into an animation tool")
@@ -329,10 +330,10 @@ def run(
     ] = False,
 ) -> None:
     """Camera folder to motion: masks, volumes, tracks, poses, exports and report."""
-    from mocap.pipeline.run import STAGES
+    from mocap.pipeline.chains import UNTIL
 
-    if until not in STAGES:
-        raise MocapError(f"there is no stage named {until!r}", remedy=f"use one of {', '.join(STAGES)}")
+    if until not in UNTIL:
+        raise MocapError(f"there is no stage named {until!r}", remedy=f"use one of {', '.join(UNTIL)}")
     _run(
         session,
         out,

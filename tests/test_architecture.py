@@ -12,17 +12,19 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 STAGES = ("foreground", "volume", "tracking", "body", "likelihood", "filters", "metrics")
-# Package of mocap -> packages of mocap that it may import besides itself, `errors` and `threads`.
+# Package of mocap -> packages of mocap that it may import besides itself, `errors`, `portable` and `threads`.
 ARROWS: dict[str, frozenset[str]] = {
     "errors": frozenset(),
     "threads": frozenset(),
+    "portable": frozenset(),
     "geometry": frozenset(),
     "data": frozenset({"geometry"}),
     **{stage: frozenset({"data", "geometry"}) for stage in STAGES},
     "likelihood": frozenset({"data", "geometry", "body"}),
     "io": frozenset({"data", "geometry"}),
     "view": frozenset({"data", "geometry"}),
-    "pipeline": frozenset({"data", "geometry", "io", "view", *STAGES}),
+    "products": frozenset({"data", "io", "volume"}),
+    "pipeline": frozenset({"data", "geometry", "io", "products", "view", *STAGES}),
     # The 2D world on which the sources compare filters, apart from the product's rooms.
     "polygons": frozenset({"data"}),
     # Synthetic sessions with exact truth: of the product's rooms it needs the containers and the file formats.
@@ -51,6 +53,8 @@ ONLY_IN: dict[str, frozenset[str]] = {
     "tests": frozenset(),
     "pickle": frozenset(),
     "shelve": frozenset(),
+    # Of one operating system.
+    **{name: frozenset({"portable"}) for name in ("resource", "fcntl", "msvcrt", "winreg", "pwd", "grp")},
     "typer": frozenset({"cli", "cli_cluster", "cli_tools", "__main__"}),
 }
 # Slow to import or optional: only inside functions, so that `mocap --help` answers at once.
@@ -146,7 +150,7 @@ def violations(path: Path, text: str, root: Path = ROOT) -> list[str]:
         at = f"{where}:{item.line}"
         if top == "mocap" and rest and rest[0] in ARROWS:
             other = rest[0]
-            if other not in (own, "errors", "threads") and other not in ARROWS[own]:
+            if other not in (own, "errors", "threads", "portable") and other not in ARROWS[own]:
                 found.append(f"{at}: {own or 'mocap'} must not import {other}")
             if other in LAZY_ROOMS and other != own and not item.is_lazy:
                 found.append(f"{at}: import mocap.{other} inside the function that needs it")

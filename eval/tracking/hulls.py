@@ -153,7 +153,7 @@ def furniture_of(scene: str, work: Path = WORK) -> list[list[list[float]]]:
 def _save(run: Path, path: Path, fps: float) -> None:
     """The hulls of a finished run as one file."""
     from mocap.io.store import StageStore
-    from mocap.pipeline.stages import stored_grid
+    from mocap.products.hulls import stored_grid
 
     store = StageStore(run / "store.zarr")
     grid = stored_grid(store)

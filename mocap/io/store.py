@@ -95,11 +95,10 @@ class StageWriter:
     """Collects the arrays of one stage; complete on a clean exit, without trace after an exception."""
 
     def __init__(self, root: Path, stage: str, key: str, attrs: dict[str, Any]) -> None:
-        try:
-            json.dumps(attrs, allow_nan=False)
-        except (TypeError, ValueError) as error:
-            raise TypeError(f"attrs of stage {stage} must be plain JSON: {error}") from error
-        self._root, self._stage, self._key, self._attrs = root, stage, key, attrs
+        self._root, self._stage, self._key = root, stage, key
+        self._attrs: dict[str, Any] = {}
+        self.describe(attrs)
+        self._is_discarded = False
         self._folder = _partial(root, stage)
         self._group: zarr.Group | None = None
         self._columns: dict[str, _ColumnWriter] = {}
@@ -140,6 +139,18 @@ class StageWriter:
         if self._n_buffered >= BUFFER_FRAMES or self._n_buffered_bytes > _BUFFER_BYTES:
             self._flush(is_last=False)
 
+    def describe(self, attrs: dict[str, Any]) -> None:
+        """Add attributes, which may only be known at the end. Raises TypeError for what is no plain JSON."""
+        try:
+            json.dumps(attrs, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise TypeError(f"attrs of stage {self._stage} must be plain JSON: {error}") from error
+        self._attrs = {**self._attrs, **attrs}
+
+    def discard(self) -> None:
+        """Leave no product behind; an earlier one stays as it is."""
+        self._is_discarded = True
+
     def _flush(self, is_last: bool) -> None:
         assert self._group is not None
         with writing(self._root / self._stage):
@@ -150,7 +161,7 @@ class StageWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is not None:
+        if error is not None or self._is_discarded:
             _discard(self._folder)
             return
         assert self._group is not None

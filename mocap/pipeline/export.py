@@ -15,8 +15,9 @@ from mocap.io import export
 from mocap.io._files import writing
 from mocap.io.export import voxels
 from mocap.io.store import StageStore
-from mocap.pipeline.stages import hull_from_arrays, stored_grid, stored_poses
+from mocap.pipeline.products.poses import motion_of, stored_poses
 from mocap.pipeline.tracking import every_frame
+from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
 
 Progress = Callable[[str, int, int], None]
 Frames = tuple[int | None, int | None]
@@ -70,7 +71,8 @@ def _export_voxels(
     store: StageStore, folder: Path, format: str, frames: Frames | None, cubes: bool, progress: Progress
 ) -> list[Path]:
     """One file per frame, voxels_000012.ply."""
-    reader, grid = store.reader("carve"), stored_grid(store)
+    reader = store.reader(PRODUCT)
+    grid = grid_from_attrs(reader.attrs)
     chosen = [int(f) for f in reader.frames if _is_in(int(f), frames)]
     if not chosen:
         raise _no_frames(frames, int(reader.frames[0]), int(reader.frames[-1]))
@@ -92,8 +94,6 @@ def _export_motion(
     store: StageStore, folder: Path, format: str, frames: Frames | None, fps: float, progress: Progress
 ) -> list[Path]:
     """One file per person, person_1.bvh."""
-    from mocap.pipeline.run import motion_of
-
     people = stored_poses(store)
     written = []
     for i, poses in enumerate(people):

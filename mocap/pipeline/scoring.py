@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Motion, VoxelGrid
+from mocap.data import LANDMARKS, Motion, Tracks, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
@@ -24,7 +24,7 @@ from mocap.metrics import (
     volume_scores,
 )
 from mocap.metrics.volume import VolumeScores
-from mocap.pipeline.stages import stored_grid
+from mocap.products.hulls import stored_grid
 
 # Ends of a limb -> the landmark that tells whether the filter saw it: the one at the joint that moves it, or beyond.
 LIMBS: dict[tuple[str, str], str] = {
@@ -39,24 +39,32 @@ LIMBS: dict[tuple[str, str], str] = {
 }
 _LOST, _PRESENT = 0.3, 0.7
 
-if TYPE_CHECKING:
-    from mocap.pipeline.run import RunResult
 
+def score_run(
+    truth_dir: Path | None,
+    motions: Sequence[Motion],
+    tracks: Tracks | None,
+    *,
+    frames: Sequence[int],
+    hulls: StageStore | None,
+    epsilon_mm: float = 100.0,
+) -> dict[str, Any] | None:
+    """All scores of a run, or None when the session holds no truth files.
 
-def score_run(result: RunResult, store: StageStore, *, epsilon_mm: float = 100.0) -> dict[str, Any] | None:
-    """All scores of a run, or None when the session holds no truth files."""
-    truth_dir = result.session.truth_dir
+    truth_dir : of the session, None = it has none.  motions, tracks : what the run found.  frames : it worked on.
+    hulls : the store with its hulls, None = it made none, and the volume is not scored.
+    """
     if truth_dir is None or not (truth_dir / "landmarks.csv").exists():
         return None
     tracks_path = truth_dir / "tracks.csv"
     return evaluate(
-        result.motions,
+        motions,
         read_landmarks_csv(truth_dir / "landmarks.csv"),
-        result.tracks,
+        tracks,
         read_tracks_csv(tracks_path) if tracks_path.exists() else None,
-        volume_overlap(truth_dir, store) if "carve" in result.numbers else None,
+        None if hulls is None else volume_overlap(truth_dir, hulls),
         epsilon_mm,
-        frames=list(result.session.frames),
+        frames=list(frames),
     )
 
 

@@ -77,7 +77,7 @@ def test_body_page_names_every_key() -> None:
 def test_outputs_page_names_every_column_and_score() -> None:
     from mocap.io.tables import LANDMARK_COLUMNS, TRACK_COLUMNS, UNCERTAINTY_COLUMNS
     from mocap.metrics import evaluate
-    from mocap.pipeline.outputs import OUTPUT_WORDS
+    from mocap.pipeline.report_data import OUTPUT_WORDS
 
     text = (DOCS / "outputs.md").read_text(encoding="utf-8")
     words = {

@@ -22,11 +22,12 @@ from mocap.data import LANDMARKS
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
-from mocap.pipeline import run as run_module
-from mocap.pipeline import stages
 from mocap.pipeline.config import Config, load_config
-from mocap.pipeline.outputs import errors_by_person
-from mocap.pipeline.run import RunResult, run_session
+from mocap.pipeline.figures import errors_by_person
+from mocap.pipeline.keys import stage_keys
+from mocap.pipeline.record import RunResult
+from mocap.pipeline.run import run_session
+from mocap.products.masks import read_masks
 
 SEED = 3
 # Files that hold no clock times: the same seed must give the same bytes.
@@ -222,7 +223,7 @@ def test_scores(full: RunResult, session: Path) -> None:
 
 def test_error_plot_shows_the_scored_errors(full: RunResult, session: Path) -> None:
     """Millimetres, as the scores: the plot once showed a thousand times as much."""
-    errors = errors_by_person(full, session / "truth")
+    errors = errors_by_person(full.found, session / "truth")
     assert full.scores is not None
     mean = np.mean([np.nanmean(mm) for _, mm in errors.values()])
     assert mean == pytest.approx(full.scores["mean_error_mm"], rel=1e-6)
@@ -243,7 +244,7 @@ def test_store_holds_every_stage(full: RunResult) -> None:
     for stage, key in keys.items():
         assert store.is_complete(stage, key)
         assert store.reader(stage).frames.tolist() == list(range(N_FRAMES))
-    masks = [m for _, m in stages.read_masks(store, full.session)]
+    masks = [m for _, m in read_masks(store, full.session)]
     truth = np.load(full.session.root / "truth" / "masks" / "cam_0.npz")["masks"]
     size = full.session.rig["cam_0"].size
     true = np.unpackbits(truth, axis=2, count=size[0]).astype(bool)
@@ -353,7 +354,7 @@ def test_killed_in_a_stage(
         run_session(masks_session, out, config=plain_config(), seed=SEED + 1, progress=interrupt)
     assert {k: v for k, v in digests(out).items() if "store.zarr" not in k} == before
     store = StageStore(out / "store.zarr")
-    keys = run_module.stage_keys(library.open_session(masks_session), plain_config(), SEED + 1)
+    keys = stage_keys(library.open_session(masks_session), plain_config(), SEED + 1)
     order = ["segment", "carve", "track", "pose", "report"]
     n_done = order.index(stage)
     assert [store.is_complete(s, keys[s]) for s in order[:4]] == [
@@ -416,7 +417,7 @@ def test_frame_range(plain: RunResult, masks_session: Path, tmp_path: Path) -> N
 
 def test_masks_are_taken_as_given(plain: RunResult) -> None:
     assert plain.session.image_sources == {}
-    for _, masks in stages.read_masks(StageStore(plain.out / "store.zarr"), plain.session):
+    for _, masks in read_masks(StageStore(plain.out / "store.zarr"), plain.session):
         for camera, mask in zip(CAMERAS, masks, strict=True):
             assert 0 < mask.mean() < 0.5, camera
     assert plain.scores is not None

@@ -16,12 +16,13 @@ from mocap.errors import MocapError
 from mocap.io.session import open_session
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.likelihood.markers import marker_views, observe
+from mocap.pipeline.chains import observation_kind
 from mocap.pipeline.config import Config, load_config
+from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.marker_start import height_from_points, points_of_frames, steady_points
 from mocap.pipeline.markers import flesh_centroids, follow_markers
 from mocap.pipeline.pose import PersonPoses
-from mocap.pipeline.run import run_session, stage_keys
-from mocap.pipeline.stages import observation_kind
+from mocap.pipeline.run import run_session
 
 SETTINGS = (
     "pose.n_layers=2",
@@ -185,7 +186,7 @@ def test_a_run_on_detections_writes_what_a_run_on_videos_writes(out: Path) -> No
 def test_the_stored_body_is_the_fitted_one(out: Path) -> None:
     from mocap.body import landmarks_of
     from mocap.io.store import StageStore
-    from mocap.pipeline.stages import stored_poses
+    from mocap.pipeline.products.poses import stored_poses
 
     (poses,) = stored_poses(StageStore(out / "store.zarr"))
     np.testing.assert_allclose(landmarks_of(poses.body, poses.states), poses.landmarks, atol=1e-9)

@@ -11,10 +11,9 @@ from small_session import PLAIN, copy_session, small_session
 from mocap.body import load_body_model, scale_body
 from mocap.body.stretch import lengths_of
 from mocap.io.store import StageStore
-from mocap.pipeline import stages
 from mocap.pipeline.config import load_config
+from mocap.pipeline.products.poses import body_files, stored_poses
 from mocap.pipeline.run import run_session
-from mocap.pipeline.stages.pose import body_files
 
 SETTINGS = (*PLAIN, "output.formats=[]")
 
@@ -37,7 +36,7 @@ def out(session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_run_takes_over_the_body_of_another(
     session: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (first,) = stages.stored_poses(StageStore(out / "store.zarr"))
+    (first,) = stored_poses(StageStore(out / "store.zarr"))
 
     def measured(*_: object) -> None:
         raise AssertionError("the height was measured again")
@@ -67,13 +66,13 @@ def test_the_poses_can_be_read_when_the_body_file_is_gone(session: Path, out: Pa
         until="pose",
     )
     own.unlink()
-    (poses,) = stages.stored_poses(StageStore(tmp_path / "out" / "store.zarr"))
+    (poses,) = stored_poses(StageStore(tmp_path / "out" / "store.zarr"))
     assert np.isfinite(poses.landmarks).all()
 
 
 def test_several_persons_have_a_file_each(out: Path) -> None:
     store = StageStore(out / "store.zarr")
-    (one,) = stages.stored_poses(store)
+    (one,) = stored_poses(store)
     other = replace(
         one,
         person=4,

@@ -10,7 +10,7 @@ from mocap.data import Camera, CameraRig
 from mocap.io.calibration import write_calibration
 from mocap.io.session import Session, open_session
 from mocap.pipeline.config import load_config
-from mocap.pipeline.run import stage_keys
+from mocap.pipeline.keys import stage_keys
 
 PRESETS = {
     "body.model": "presets/thesis.toml",

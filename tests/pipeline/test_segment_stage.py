@@ -14,13 +14,10 @@ from mocap.io.calibration import write_calibration
 from mocap.io.session import open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
-from mocap.pipeline.run import stage_keys
-from mocap.pipeline.stages.segment import (
-    masks_from_arrays,
-    region_of_interest,
-    segment_report,
-    segment_stage,
-)
+from mocap.pipeline.keys import stage_keys
+from mocap.pipeline.stage import Job, run_stage
+from mocap.pipeline.stages.segment import SEGMENT, region_of_interest, segment_report
+from mocap.products.masks import masks_from_arrays
 
 SIZE = (96, 80)
 NAMES = ("left", "middle", "right")
@@ -58,7 +55,7 @@ def root(tmp_path: Path) -> Path:
 def segmented(root: Path, out: Path) -> tuple[StageStore, np.ndarray]:
     session = open_session(root)
     store = StageStore(out)
-    segment_stage(session, load_config(), store, "key", n_threads=2, progress=lambda *_: None)
+    run_stage(SEGMENT, Job(session, load_config(), store, "key", n_threads=2))
     masks = [masks_from_arrays(arrays, session) for _, arrays in store.reader("segment")]
     return store, np.array(masks)
 
@@ -66,7 +63,7 @@ def segmented(root: Path, out: Path) -> tuple[StageStore, np.ndarray]:
 def test_report_names_the_camera_that_flickers(root: Path, tmp_path: Path) -> None:
     store, masks = segmented(root, tmp_path / "store.zarr")
     assert masks.shape == (N_FRAMES, len(NAMES), SIZE[1], SIZE[0])
-    report = segment_report(store, open_session(root))
+    report = segment_report(Job(open_session(root), load_config(), store))
     numbers = report.numbers["cameras"]
     assert set(numbers) == set(NAMES)
     assert numbers["middle"]["flicker"] == 0.0

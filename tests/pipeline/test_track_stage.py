@@ -7,12 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mocap.data import VoxelGrid
+from mocap.data import Tracks, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
-from mocap.pipeline.stages.track import stored_tracks, track_stage
+from mocap.pipeline.stage import Job, run_stage
+from mocap.pipeline.stages.track import TRACK
 from mocap.pipeline.tracking import every_frame, tracker_settings
+from mocap.products.tracks import stored_tracks, track_row
 from mocap.volume import surface_voxels
 
 GRID = VoxelGrid(np.array([-1.5, -1.0, 0.0]), (60, 40, 36), 0.05)
@@ -54,7 +56,8 @@ def stage(tmp_path):
                 )
         session = SimpleNamespace(frames=range(len(clip)), fps=FPS)
         config = load_config(settings=settings)
-        tracks = track_stage(session, config, store, "k", seed=seed, progress=lambda *a: None)
+        run_stage(TRACK, Job(session, config, store, "k", seed=seed))
+        tracks = stored_tracks(store, FPS)
         owners = {f: arrays["owner"] for f, arrays in store.reader("track-owners")}
         return tracks, owners, store
 
@@ -95,13 +98,29 @@ def test_finer_voxels_than_the_volume_are_refused(stage):
         stage(ENTRY[:3], "tracking.voxel_size_m=0.02")
 
 
-def test_stored_tracks_are_those_of_the_stage(stage):
-    clip = [*ENTRY[8:], [], [], *ENTRY[8:][::-1]]
-    tracks, _, store = stage(clip)
+def test_tracks_are_read_as_they_were_written(tmp_path):
+    rng = np.random.default_rng(5)
+    frame = np.array([3, 3, 4, 6])
+    tracks = Tracks(
+        frame,
+        np.array([1, 2, 1, 2]),
+        frame / FPS,
+        rng.normal(size=(4, 3)),
+        rng.normal(size=(4, 3, 3)),
+        np.array([True, True, False, True]),
+    )
+    store = StageStore(tmp_path / "store.zarr")
+    with store.writer("track", "k", {}) as out:
+        for f in range(3, 7):
+            out.append(f, **track_row(tracks, f))
     read = stored_tracks(store, FPS)
     for name in ("frame", "person", "time_s", "xyz", "covariance", "observed"):
         np.testing.assert_array_equal(getattr(read, name), getattr(tracks, name), err_msg=name)
-    assert np.count_nonzero(~read.observed) == 2
+
+
+def test_who_is_not_seen_for_two_frames_is_not_observed_in_them(stage):
+    tracks, _, _ = stage([*ENTRY[8:], [], [], *ENTRY[8:][::-1]])
+    assert np.count_nonzero(~tracks.observed) == 2
 
 
 def test_tracks_without_covariance_are_read_as_well(stage):

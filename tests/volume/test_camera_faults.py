@@ -21,7 +21,7 @@ from mocap.io.calibration import write_calibration
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
-from mocap.pipeline.stages.carve import stored_faults
+from mocap.products.hulls import stored_faults
 from mocap.volume import CameraFault, ConsistencyMonitor, find_camera_faults, usable_cameras
 from mocap.volume.camera_faults import background_shift, fit_states
 from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, Snapshot

@@ -8,13 +8,14 @@ from typing import Any
 
 from mocap.errors import MocapError
 from mocap.io.session import open_session
-from mocap.pipeline import stages
+from mocap.pipeline.chains import observation_kind
 from mocap.pipeline.cluster.engine import Engine, Job, Outcome, Progress, run_jobs
 from mocap.pipeline.cluster.spec import session_names
 from mocap.pipeline.cluster.sweep import SweepResult, summary_of, truth_hash
 from mocap.pipeline.cluster.tables import Row, write_tables
 from mocap.pipeline.config import Config, config_hash, load_config, presets
-from mocap.pipeline.run import code_hash, run_session, stage_keys
+from mocap.pipeline.keys import code_hash, stage_keys
+from mocap.pipeline.run import run_session
 
 _PARTS = ("session.toml", "videos", "images", "masks", "detections")
 
@@ -116,7 +117,7 @@ def _plan(
     for path, name in zip(sessions, names, strict=True):
         try:
             session = open_session(path, frames=frames)
-            kind = stages.observation_kind(session, config)
+            kind = observation_kind(session, config)
             pose = stage_keys(session, config, seed, kind)["pose"]
         except MocapError as error:
             yield name, Outcome(None, str(error))

@@ -7,7 +7,6 @@ stop the others. Which worker runs a job, and how many there are, changes nothin
 
 from __future__ import annotations
 
-import fcntl
 import json
 import logging
 import os
@@ -24,6 +23,7 @@ from typing import Any
 
 from mocap.errors import MissingExtra, MocapError
 from mocap.io._files import atomic_text, writing
+from mocap.portable import lock_file
 
 Work = Callable[[dict[str, Any]], dict[str, Any]]
 
@@ -144,7 +144,7 @@ def run_jobs(
 
 def attempt(work: Work, parameters: dict[str, Any], code: str, *needs: Outcome) -> Outcome:
     """One job where it runs: every exception becomes an outcome, so that it stops neither worker nor sweep."""
-    from mocap.pipeline.run import code_hash
+    from mocap.pipeline.keys import code_hash
 
     for need in needs:
         if not need.is_done:
@@ -226,14 +226,12 @@ def _sole_use(folder: Path) -> Iterator[None]:
     with writing(path):
         stream = path.open("w")
     with stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+        if not lock_file(stream):
             raise MocapError(
                 "another command is working in this folder",
                 path=folder,
                 remedy="wait for it, or choose another folder with -o",
-            ) from error
+            )
         yield
 
 

@@ -20,16 +20,14 @@ from mocap.errors import MocapError
 from mocap.io._files import writing
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
-from mocap.pipeline import stages
+from mocap.pipeline.chains import CHAINS, observation_kind
 from mocap.pipeline.cluster.engine import Engine, Job, Outcome, Progress, run_jobs
 from mocap.pipeline.cluster.spec import SweepCell, SweepSpec, plan_cells, session_names
 from mocap.pipeline.cluster.tables import Row, write_tables
 from mocap.pipeline.config import Config, config_hash, load_config
-from mocap.pipeline.run import code_hash, run_session, stage_keys
+from mocap.pipeline.keys import code_hash, stage_keys
+from mocap.pipeline.run import run_session
 
-# Stages whose products cells may share, in order, and `until` of a run that makes them.
-_SHARED = {"voxels": ("segment", "carve", "track"), "markers": ("detect",)}
-_UNTIL = {"detect": "segment"}
 _TRUTH_FILES = ("landmarks.csv", "tracks.csv", "voxels.npz")
 
 
@@ -67,7 +65,7 @@ class _Sessions:
             raise session_or_error
         about = (path, config_hash(config), seed)
         if about not in self._keys:
-            kind = stages.observation_kind(session_or_error, config)
+            kind = observation_kind(session_or_error, config)
             keys = stage_keys(session_or_error, config, seed, kind)
             keys["score"] = config_hash(keys["pose"], self._truth[path])
             self._keys[about] = (kind, keys)
@@ -136,13 +134,13 @@ def plan_jobs(
         }
         chain: list[Job] = []
         products: list[list[str]] = []
-        for stage in _SHARED[kind]:
-            products.append([stage, keys[stage]])
+        for stage in CHAINS[kind][:-1]:  # what is before the pose may be shared
+            products.append([stage.name, keys[stage.name]])
             chain.append(
                 Job(
-                    f"{stage}-{keys[stage]}",
+                    f"{stage.name}-{keys[stage.name]}",
                     make_product,
-                    {**common, "products": list(products)},
+                    {**common, "products": list(products), "until": stage.until},
                     needs=tuple(job.key for job in chain[-1:]),
                     is_kept=False,
                 )
@@ -160,7 +158,7 @@ def make_product(parameters: dict[str, Any]) -> dict[str, Any]:
     folder = out / "stages" / f"{stage}-{key}"
     if not StageStore(folder / "store.zarr").is_complete(stage, key):
         _link_products(out, folder, before)
-        _run(parameters, folder, until=_UNTIL.get(stage, stage))
+        _run(parameters, folder, until=parameters["until"])
     return {}
 
 

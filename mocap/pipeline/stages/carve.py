@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +12,9 @@ from mocap.data import Hull, VoxelGrid
 from mocap.errors import MocapError
 from mocap.foreground.pixels import sample_silhouettes
 from mocap.io.session import Session
-from mocap.io.store import StageStore
-from mocap.io.video import FrameReader
 from mocap.pipeline.config import Config
-from mocap.pipeline.stages.report import Progress, StageReport
-from mocap.pipeline.stages.segment import read_masks
+from mocap.pipeline.stage import MASKS, PICTURES, Ending, FrameWork, Job, Row, Seen, Stage, StageReport
+from mocap.products.hulls import PRODUCT, hull_attrs, hull_row, stored_faults, stored_grid
 from mocap.volume import (
     CameraFault,
     Carver,
@@ -69,39 +66,6 @@ def faulty_views(session: Session, config: Config, n_excluded: int = 0) -> int:
     return max(k - n_excluded, 0)
 
 
-def carve_stage(session: Session, config: Config, store: StageStore, key: str, *, progress: Progress) -> None:
-    """Coloured hulls of every frame into the store.
-
-    Store: per frame `voxels` (N,) int32, `is_surface` (N,) bool, `n_views` (N,) uint8, `rgb` (N, 3) uint8, `used` (C,)
-    bool, the cameras that took part, and `pixel_camera`, `pixel_uv`, `pixel_rgb` of `SilhouettePixels`; grid and camera
-    faults in the attributes.
-    With volume.on_bad_camera=exclude, cameras that turn out to be bad make the stage begin again without them.
-    Source: CF 2.2.4.
-    """
-    try:
-        carving = _Carving(session, config)
-        k = faulty_views(session, config)
-        if not 0 <= k < len(session.rig):
-            raise ValueError(f"n_faulty_views is {k}, the rig has {len(session.rig)} cameras")
-    except ValueError as error:
-        raise MocapError(
-            f"the volume cannot be carved: {error}",
-            remedy="use larger voxels (volume.voxel_size_m), a smaller room (room_bounds_m) or fewer faulty views",
-        ) from error
-    try:
-        _carve_frames(carving, store, key, (), is_first=True, progress=progress)
-    except _CarveAgain as again:
-        _carve_frames(carving, store, key, again.faults, is_first=False, progress=progress)
-
-
-class _CarveAgain(Exception):
-    """The cameras that turned out to be bad; leaves no product behind."""
-
-    def __init__(self, faults: tuple[CameraFault, ...]) -> None:
-        super().__init__("carve without bad cameras")
-        self.faults = faults
-
-
 class _Carving:
     """Grid and carvers of a session, one carver for each set of cameras that is used."""
 
@@ -138,89 +102,80 @@ class _Carving:
         return colour_hull(voxels, is_surface, self.grid, carver.rig, images, settings.visibility)
 
 
-def _carve_frames(
-    carving: _Carving,
-    store: StageStore,
-    key: str,
-    faults: tuple[CameraFault, ...],
-    *,
-    is_first: bool,
-    progress: Progress,
-) -> None:
-    """One pass over all frames. The first looks for bad cameras; _CarveAgain when some must be left out."""
-    session, settings = carving.session, carving.config.volume
-    rig, frames = session.rig, session.frames
-    attrs: dict[str, object] = {
-        "origin_m": carving.grid.origin.tolist(),
-        "shape": list(carving.grid.shape),
-        "voxel_size_m": carving.grid.voxel_size_m,
-        "n_faulty_views": faulty_views(session, carving.config),
-        "cameras": list(rig.names),
-    }
+@dataclass(frozen=True, eq=False)
+class _Walk:
+    """One walk over the clip.
+
+    used : (T, C) bool, the cameras that take part.  monitor : of the first walk, which looks for bad cameras.
+    faults : what it has found.
+    """
+
+    carving: _Carving
+    used: NDArray[np.bool_]
+    monitor: ConsistencyMonitor | None
+    faults: tuple[CameraFault, ...] = ()
+
+
+def _reads(session: Session) -> tuple[str, ...]:
+    return (MASKS, PICTURES) if session.image_sources else (MASKS,)
+
+
+def _start(job: Job) -> _Walk:
+    session, config = job.session, job.config
+    try:
+        carving = _Carving(session, config)
+        k = faulty_views(session, config)
+        if not 0 <= k < len(session.rig):
+            raise ValueError(f"n_faulty_views is {k}, the rig has {len(session.rig)} cameras")
+    except ValueError as error:
+        raise MocapError(
+            f"the volume cannot be carved: {error}",
+            remedy="use larger voxels (volume.voxel_size_m), a smaller room (room_bounds_m) or fewer faulty views",
+        ) from error
     monitor = None
-    if is_first and settings.on_bad_camera != "ignore":
-        monitor = ConsistencyMonitor(rig, carving.grid)
-    used = usable_cameras(faults, rig.names, np.array(frames))
+    if config.volume.on_bad_camera != "ignore":
+        monitor = ConsistencyMonitor(session.rig, carving.grid)
+    return _Walk(carving, _used(session, ()), monitor)
+
+
+def _used(session: Session, faults: tuple[CameraFault, ...]) -> NDArray[np.bool_]:
+    used = usable_cameras(faults, session.rig.names, np.array(session.frames))
     # With fewer cameras left than a hull needs, a bad one is better than none.
-    used[used.sum(axis=1) < min(_MIN_CAMERAS, len(rig))] = True
-    with store.writer("carve", key, attrs) as out, ExitStack() as stack:
-        pictures_of = None
-        if session.image_sources:
-            pictures_of = iter(stack.enter_context(FrameReader(session.image_sources, rig, frames)))
-        for i, (frame, masks) in enumerate(read_masks(store, session)):
-            pictures = next(pictures_of)[1] if pictures_of is not None else None
-            hull = carving.hull(masks, pictures, used[i])
-            if monitor is not None:
-                monitor.add(frame, masks, pictures)
-            pixels = sample_silhouettes(masks, pictures, used[i])
-            out.append(
-                frame,
-                voxels=hull.voxels,
-                is_surface=hull.is_surface,
-                n_views=hull.n_views,
-                rgb=hull.rgb,
-                used=used[i],
-                pixel_camera=pixels.camera,
-                pixel_uv=pixels.uv,
-                pixel_rgb=pixels.rgb,
-            )
-            progress("carve", i + 1, len(frames))
-        if monitor is not None:
-            faults = find_camera_faults(monitor.evidence())
-            if (
-                settings.on_bad_camera == "exclude"
-                and not usable_cameras(faults, rig.names, np.array(frames)).all()
-            ):
-                raise _CarveAgain(faults)
-        attrs["camera_faults"] = [asdict(f) for f in faults]
+    used[used.sum(axis=1) < min(_MIN_CAMERAS, len(session.rig))] = True
+    return used
 
 
-def stored_faults(store: StageStore) -> tuple[CameraFault, ...]:
-    """What the carve stage has found wrong with cameras."""
-    return tuple(CameraFault(**fault) for fault in store.reader("carve").attrs.get("camera_faults", []))
+def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Sequence[Row]]:
+    assert seen.masks is not None
+    used = walk.used[seen.index]
+    hull = walk.carving.hull(seen.masks, seen.pictures, used)
+    if walk.monitor is not None:
+        walk.monitor.add(seen.frame, seen.masks, seen.pictures)
+    pixels = sample_silhouettes(seen.masks, seen.pictures, used)
+    return walk, [Row(PRODUCT, seen.frame, hull_row(hull, used, pixels))]
 
 
-def stored_grid(store: StageStore) -> VoxelGrid:
-    """The grid that the hulls in the store live on."""
-    attrs = store.reader("carve").attrs
-    return VoxelGrid(np.array(attrs["origin_m"]), tuple(attrs["shape"]), attrs["voxel_size_m"])
+def _finish(walk: _Walk) -> Ending:
+    """Done; or, with volume.on_bad_camera=exclude, another walk without the cameras that turned out to be bad.
+
+    They are known only when the whole clip has been seen, and then from its first frame on.
+    """
+    session, config, rig = walk.carving.session, walk.carving.config, walk.carving.rig
+    faults = walk.faults
+    if walk.monitor is not None:
+        faults = find_camera_faults(walk.monitor.evidence())
+        if (
+            config.volume.on_bad_camera == "exclude"
+            and not usable_cameras(faults, rig.names, np.array(session.frames)).all()
+        ):
+            return Ending(again=_Walk(walk.carving, _used(session, faults), None, faults))
+    attrs = hull_attrs(walk.carving.grid, rig.names, faulty_views(session, config), faults)
+    return Ending(attrs={PRODUCT: attrs})
 
 
-def hull_from_arrays(grid: VoxelGrid, arrays: dict[str, NDArray[np.generic]]) -> Hull:
-    """One frame of the `carve` product as a Hull."""
-    return Hull(
-        grid,
-        arrays["voxels"].astype(np.int32, copy=False),
-        arrays["is_surface"].astype(np.bool_, copy=False),
-        arrays["n_views"].astype(np.uint8, copy=False),
-        arrays["rgb"].astype(np.uint8, copy=False),
-    )
-
-
-def carve_report(store: StageStore) -> StageReport:
+def carve_report(job: Job) -> StageReport:
     """Warnings about empty hulls, and their mean volume."""
-    grid = stored_grid(store)
-    reader = store.reader("carve")
+    grid, reader = stored_grid(job.store), job.store.reader(PRODUCT)
     sizes = np.array([len(arrays["voxels"]) for _, arrays in reader])
     empty = float((sizes == 0).mean()) if sizes.size else 1.0
     warnings = []
@@ -231,7 +186,7 @@ def carve_report(store: StageStore) -> StageReport:
         )
     elif empty > _EMPTY_SHARE:
         warnings.append(f"the volume is empty in {empty:.0%} of the frames")
-    faults, names = stored_faults(store), list(reader.attrs["cameras"])
+    faults, names = stored_faults(job.store), list(reader.attrs["cameras"])
     used = np.array([arrays["used"] for _, arrays in reader]) if faults else np.ones((0, 0), dtype=np.bool_)
     for fault in faults:
         inside = (reader.frames >= fault.first_frame) & (reader.frames <= fault.last_frame)
@@ -248,3 +203,16 @@ def carve_report(store: StageStore) -> StageReport:
             "camera_faults": len(faults),
         },
     )
+
+
+CARVE = Stage(
+    name="carve",
+    until="carve",
+    products=(PRODUCT,),
+    # Coloured hulls of every frame. Source: CF 2.2.4.
+    work=FrameWork(_reads, _start, _step, _finish),
+    report=carve_report,
+    needs=("segment",),
+    sections=("volume",),
+    facts=("room_bounds_m",),
+)

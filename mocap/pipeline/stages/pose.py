@@ -2,51 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mocap.body import body_toml, model_of, scale_body
 from mocap.body.initial import HeightEstimate
-from mocap.body.model import load_body_model, parse_body_model
-from mocap.body.stretch import lengths_of, with_lengths
+from mocap.body.model import load_body_model
 from mocap.data import Tracks
-from mocap.data.pixels import SilhouettePixels
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.likelihood.colours import PixelRays, person_rays
 from mocap.likelihood.residuals import OutlineFitSettings, Outlines, person_outlines, pinhole_view
 from mocap.pipeline.config import Config
-from mocap.pipeline.pose import PersonPoses, estimate_height, follow_person
+from mocap.pipeline.pose import PersonPoses, estimate_height, follow_person, motion_numbers
 from mocap.pipeline.pose_problem import HullOf, PersonHull, make_tools
-from mocap.pipeline.stages.carve import stored_grid
-from mocap.pipeline.stages.report import Progress
-from mocap.pipeline.stages.segment import masks_from_arrays
+from mocap.pipeline.products import poses as poses_product
+from mocap.pipeline.products.poses import store_poses, stored_poses
+from mocap.pipeline.stage import ClipWork, Job, Progress, Stage, StageReport
+from mocap.products import hulls as hulls_product
+from mocap.products import masks as masks_product
+from mocap.products import owners as owners_product
+from mocap.products.hulls import pixels_from_arrays, stored_grid
+from mocap.products.masks import masks_from_arrays
+from mocap.products.owners import owners_at
+from mocap.products.tracks import stored_tracks
 from mocap.volume import surface_voxels
 
-Array = NDArray[np.float64]
 
+def pose_stage(job: Job) -> None:
+    """Poses of every tracked person into the store.
 
-def pose_stage(
-    session: Session,
-    config: Config,
-    store: StageStore,
-    key: str,
-    tracks: Tracks,
-    *,
-    seed: int,
-    n_threads: int,
-    progress: Progress,
-) -> list[PersonPoses]:
-    """Poses of every tracked person into the store.  Source: CF 6.3.3, 6.5."""
+    It needs the whole clip: the first pose is looked for in several frames, a person is followed in both directions
+    from there, and limbs are carried over from the frames after.  Source: CF 6.3.3, 6.5.
+    """
     results = estimate_poses(
-        session, config, store, tracks, seed=seed, n_threads=n_threads, progress=progress
+        job.session,
+        job.config,
+        job.store,
+        stored_tracks(job.store, job.session.fps),
+        seed=job.seed,
+        n_threads=job.n_threads,
+        progress=job.progress,
     )
-    store_poses(store, key, config.body_model("voxels"), results)
-    return results
+    store_poses(job.store, job.key, job.config.body_model("voxels"), results)
 
 
 def estimate_poses(
@@ -108,13 +106,14 @@ def estimate_poses(
 def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
     """frame -> the voxels of one person, with its outlines, from the products of the earlier stages."""
     grid = stored_grid(store)
-    hulls, owners, segments = store.reader("carve"), store.reader("track-owners"), store.reader("segment")
+    hulls, segments = store.reader(hulls_product.PRODUCT), store.reader(masks_product.PRODUCT)
+    owners = store.reader(owners_product.PRODUCT)
     views = [pinhole_view(camera) for camera in session.rig]
 
     @lru_cache(maxsize=8)
     def hull_of(frame: int) -> PersonHull | None:
         arrays = hulls.read(frame)
-        owner = owners.read(frame)["owner"]
+        owner = owners_at(owners, frame)
         keep = owner == person
         if not keep.any():
             return None
@@ -138,12 +137,8 @@ def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
 
         @lru_cache(maxsize=1)
         def rays() -> PixelRays:
-            pixels = SilhouettePixels(
-                arrays["pixel_camera"].astype(np.uint8, copy=False),
-                arrays["pixel_uv"].astype(np.int16, copy=False),
-                arrays["pixel_rgb"].astype(np.uint8, copy=False),
-            )
             surface = grid.centers(voxels[is_surface])
+            pixels = pixels_from_arrays(arrays)
             return person_rays(session.rig, pixels, surface, grid.centers(others.astype(np.int32)))
 
         return PersonHull(voxels, is_surface, outlines, rays)
@@ -151,86 +146,31 @@ def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
     return hull_of
 
 
-def store_poses(store: StageStore, key: str, body_model: str, results: list[PersonPoses]) -> None:
-    """Poses of all persons into the store; `stored_poses` reads them back.  body_model : that of all of them."""
-    attrs = {
-        # The file itself: it may be moved or changed before the poses are read.
-        "body_model": body_toml(load_body_model(body_model)),
-        "persons": {
-            str(r.person): {
-                "height_m": r.height.height_m,
-                "lengths": lengths_of(r.body),
-                "height_is_measured": r.height.is_measured,
-                "start_frame": r.start_frame,
-                "first_pose": r.first_pose,
-                "warnings": list(r.warnings),
-            }
-            for r in results
-        },
+def poses_report(job: Job) -> StageReport:
+    """Size, frames and calmness of every person, and what the poses warn of."""
+    fps = job.session.fps
+    poses = stored_poses(job.store)
+    persons = {
+        str(p.person): {
+            "height_m": round(p.height.height_m, 3),
+            "first_frame": int(p.frames[0]),
+            "last_frame": int(p.frames[-1]),
+            "start_frame": p.start_frame,
+            **motion_numbers(p, fps),
+        }
+        for p in poses
     }
-    rows = sorted({int(f) for r in results for f in r.frames})
-    with store.writer("pose", key, attrs) as out:
-        for frame in rows:
-            present = [(r, int(np.searchsorted(r.frames, frame))) for r in results if frame in r.frames]
-            out.append(
-                frame,
-                person=np.array([r.person for r, _ in present], dtype=np.int64),
-                state=np.array([r.states[i] for r, i in present]),
-                landmarks=np.array([r.landmarks[i] for r, i in present]),
-                covariance=np.array([r.landmark_covariance[i] for r, i in present]),
-                observed=np.array([r.observed[i] for r, i in present]),
-                log_likelihood=np.array([r.log_likelihood[i] for r, i in present]),
-                ess_share=np.array([r.ess_share[i] for r, i in present]),
-            )
+    return StageReport(tuple(w for p in poses for w in p.warnings), {"persons": persons})
 
 
-def body_files(store: StageStore, poses: Sequence[PersonPoses]) -> dict[str, str]:
-    """Body files of the persons, file name -> text: body.toml of one person, body_1.toml and so on of several.
-
-    Each can be given to `body.model` in another run of the same person, who is then not measured again.
-    """
-    model = parse_body_model(store.reader("pose").attrs["body_model"], Path("store.zarr"))
-    files = {}
-    for p in poses:
-        name = "body.toml" if len(poses) == 1 else f"body_{p.person}.toml"
-        how = "as measured" if p.height.is_measured else "not measured: a usual height was taken"
-        comment = (
-            f"The body of person {p.person}, {how}. Use it again with --set body.model=PATH (docs/bodies.md)."
-        )
-        files[name] = body_toml(model_of(p.body, model), comment)
-    return files
-
-
-def stored_poses(store: StageStore) -> list[PersonPoses]:
-    """Poses of all persons from the store."""
-    reader = store.reader("pose")
-    model = parse_body_model(reader.attrs["body_model"], Path("store.zarr"))
-    rows: dict[int, list[tuple[int, dict[str, NDArray[np.generic]], int]]] = {}
-    for frame, arrays in reader:
-        for i, person in enumerate(arrays["person"]):
-            rows.setdefault(int(person), []).append((frame, arrays, i))
-    results = []
-    for name, about in reader.attrs["persons"].items():
-        own = rows[int(name)]
-
-        def column(field: str, own: list = own) -> NDArray:  # type: ignore[type-arg]
-            return np.array([arrays[field][i] for _, arrays, i in own])
-
-        results.append(
-            PersonPoses(
-                person=int(name),
-                body=with_lengths(scale_body(model, about["height_m"]), about["lengths"]),
-                height=HeightEstimate(about["height_m"], about["height_is_measured"]),
-                frames=np.array([frame for frame, _, _ in own], dtype=np.int64),
-                states=column("state"),
-                landmarks=column("landmarks"),
-                landmark_covariance=column("covariance"),
-                observed=column("observed").astype(np.bool_),
-                log_likelihood=column("log_likelihood"),
-                ess_share=column("ess_share"),
-                start_frame=about["start_frame"],
-                first_pose=about["first_pose"],
-                warnings=tuple(about["warnings"]),
-            )
-        )
-    return results
+POSE = Stage(
+    name="pose",
+    until="pose",
+    products=(poses_product.PRODUCT,),
+    work=ClipWork(pose_stage),
+    report=poses_report,
+    needs=("track",),
+    sections=("body", "likelihood", "pose"),
+    facts=("fps", "person_height_m"),
+    is_random=lambda config: True,
+)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from itertools import islice
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,10 +24,21 @@ from mocap.foreground import (
 )
 from mocap.foreground.quality import Triple
 from mocap.io.session import Session
-from mocap.io.store import StageStore, StageWriter
-from mocap.io.video import FrameReader, MaskReader, iter_clip
-from mocap.pipeline.config import Config, SegmentationConfig
-from mocap.pipeline.stages.report import Progress, StageReport
+from mocap.io.store import StageStore
+from mocap.io.video import iter_clip
+from mocap.pipeline.config import SegmentationConfig
+from mocap.pipeline.stage import (
+    GIVEN_MASKS,
+    PICTURES,
+    Ending,
+    FrameWork,
+    Job,
+    Row,
+    Seen,
+    Stage,
+    StageReport,
+)
+from mocap.products.masks import PRODUCT, mask_row, masks_from_arrays
 
 _QUALITY_FRAMES = 40  # looked at closely for the quality of the masks
 
@@ -85,74 +96,51 @@ def learn_backgrounds(session: Session, config: SegmentationConfig, warnings: li
     return backgrounds
 
 
-def segment_stage(
-    session: Session, config: Config, store: StageStore, key: str, *, n_threads: int, progress: Progress
-) -> None:
-    """Foreground masks of every frame into the store: computed, or taken over from masks/.
+@dataclass(frozen=True, eq=False)
+class _Segmenting:
+    """One segmenter per camera, which learn as they go; none where masks are taken over."""
 
-    Store: per frame `m0 .. mC-1`, (H, ceil(W / 8)) uint8, bits of the masks along rows in rig order; `share`
-    (C,) foreground share; `shadow` (C,) shadow share, NaN for masks taken over; `usable` (C,) bool.
-    Source: CF 2.2.3.
-    """
-    warnings: list[str] = []
-    rig, frames = session.rig, session.frames
-    n = len(frames)
+    segmenters: tuple[Segmenter, ...]
+    warnings: tuple[str, ...]
+    each: Callable[..., Iterable[Any]]
+
+
+def _reads(session: Session) -> tuple[str, ...]:
+    return (GIVEN_MASKS,) if session.mask_sources else (PICTURES,)
+
+
+def _start(job: Job) -> _Segmenting:
+    session, settings = job.session, job.config.segmentation
     if session.mask_sources:
-        with (
-            store.writer("segment", key, {"source": "masks"}) as out,
-            MaskReader(session.mask_sources, rig, frames) as reader,
-        ):
-            for i, (frame, masks) in enumerate(reader):
-                unknown = np.full(len(rig), np.nan, dtype=np.float32)
-                _append_masks(out, frame, masks, unknown, np.ones(len(rig), dtype=np.bool_))
-                progress("segment", i + 1, n)
-        return
-    backgrounds = learn_backgrounds(session, config.segmentation, warnings)
-    settings = ForegroundSettings(
-        method=config.segmentation.method, hold_frames=max(1, round(config.segmentation.hold_s * session.fps))
+        return _Segmenting((), (), job.each)
+    warnings: list[str] = []
+    backgrounds = learn_backgrounds(session, settings, warnings)
+    foreground = ForegroundSettings(
+        method=settings.method, hold_frames=max(1, round(settings.hold_s * session.fps))
     )
-    segmenters = [
-        Segmenter(b, settings, roi=region_of_interest(session, camera))
-        for b, camera in zip(backgrounds, rig, strict=True)
-    ]
-    attrs: dict[str, object] = {"source": "images", "warnings": warnings}
-    with (
-        store.writer("segment", key, attrs) as out,
-        FrameReader(session.image_sources, rig, frames) as images_of,
-        ThreadPoolExecutor(max(1, n_threads)) as pool,
-    ):
-        for i, (frame, images) in enumerate(images_of):
-            found = list(pool.map(lambda s, image: s.segment(image), segmenters, images))
-            usable = np.array([m.is_usable for m in found])
-            shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
-            _append_masks(out, frame, [m.mask for m in found], shadow, usable)
-            progress("segment", i + 1, n)
+    segmenters = tuple(
+        Segmenter(b, foreground, roi=region_of_interest(session, camera))
+        for b, camera in zip(backgrounds, session.rig, strict=True)
+    )
+    return _Segmenting(segmenters, tuple(warnings), job.each)
 
 
-def _append_masks(
-    out: StageWriter,
-    frame: int,
-    masks: Sequence[NDArray[np.bool_]],
-    shadow: NDArray[np.float32],
-    usable: NDArray[np.bool_],
-) -> None:
-    packed = {f"m{c}": np.packbits(mask, axis=1) for c, mask in enumerate(masks)}
-    share = np.array([float(m.mean()) for m in masks], dtype=np.float32)
-    out.append(frame, share=share, shadow=shadow, usable=usable, **packed)
+def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Sequence[Row]]:
+    if seen.masks is not None:
+        n = len(seen.masks)
+        row = mask_row(seen.masks, np.full(n, np.nan, dtype=np.float32), np.ones(n, dtype=np.bool_))
+        return state, [Row(PRODUCT, seen.frame, row)]
+    assert seen.pictures is not None
+    found = list(state.each(lambda s, image: s.segment(image), state.segmenters, seen.pictures))
+    usable = np.array([m.is_usable for m in found])
+    shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
+    return state, [Row(PRODUCT, seen.frame, mask_row([m.mask for m in found], shadow, usable))]
 
 
-def read_masks(store: StageStore, session: Session) -> Iterator[tuple[int, list[NDArray[np.bool_]]]]:
-    """Frames and masks, one (H, W) bool per camera in rig order, from the store."""
-    for frame, arrays in store.reader("segment"):
-        yield frame, masks_from_arrays(arrays, session)
-
-
-def masks_from_arrays(arrays: dict[str, NDArray[np.uint8]], session: Session) -> list[NDArray[np.bool_]]:
-    """Masks of one frame of the `segment` product."""
-    return [
-        np.unpackbits(arrays[f"m{c}"], axis=1, count=camera.size[0]).view(np.bool_)
-        for c, camera in enumerate(session.rig)
-    ]
+def _finish(state: _Segmenting) -> Ending:
+    if not state.segmenters:
+        return Ending(attrs={PRODUCT: {"source": "masks"}})
+    return Ending(attrs={PRODUCT: {"source": "images", "warnings": list(state.warnings)}})
 
 
 def region_of_interest(session: Session, camera: Camera) -> NDArray[np.bool_] | None:
@@ -182,9 +170,10 @@ def region_of_interest(session: Session, camera: Camera) -> NDArray[np.bool_] | 
     return region > 0
 
 
-def segment_report(store: StageStore, session: Session) -> StageReport:
+def segment_report(job: Job) -> StageReport:
     """Advice about the masks of every camera, and their numbers; see foreground.mask_quality."""
-    reader = store.reader("segment")
+    store, session = job.store, job.session
+    reader = store.reader(PRODUCT)
     warnings = list(reader.attrs.get("warnings", []))
     rows = [(arrays["share"], arrays["shadow"], arrays["usable"]) for _, arrays in reader]
     share, shadow, usable = (np.array([row[i] for row in rows]) for i in range(3))
@@ -218,7 +207,7 @@ def quality_numbers(quality: MaskQuality) -> dict[str, float | None]:
 
 def _sampled_triples(store: StageStore, session: Session) -> Iterator[Triple]:
     """Some frames, evenly spread, with their neighbours."""
-    reader = store.reader("segment")
+    reader = store.reader(PRODUCT)
     frames = reader.frames
     middles = np.unique(np.linspace(1, len(frames) - 2, _QUALITY_FRAMES).round().astype(int))
     for i in middles if len(frames) >= 3 else ():
@@ -226,3 +215,15 @@ def _sampled_triples(store: StageStore, session: Session) -> Iterator[Triple]:
             masks_from_arrays(reader.read(int(frames[j])), session) for j in (i - 1, i, i + 1)
         )
         yield before, now, after
+
+
+SEGMENT = Stage(
+    name="segment",
+    until="segment",
+    products=(PRODUCT,),
+    # Foreground masks of every frame: computed, or taken over from masks/. Source: CF 2.2.3.
+    work=FrameWork(_reads, _start, _step, _finish),
+    report=segment_report,
+    sections=("segmentation",),
+    facts=("fps",),
+)

@@ -1,0 +1,114 @@
+"""The report of a run: what report.html says, out of the record and of what was found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from mocap.pipeline.figures import run_figures, silhouette_numbers
+from mocap.pipeline.panels import frame_panels
+from mocap.pipeline.record import OUTPUTS, RunRecord, RunResult
+from mocap.view import SCORES, ReportData, write_report
+
+OUTPUT_WORDS = {
+    "run.json": "configuration, versions, seed, timings and warnings of this run",
+    "tracks.csv": "where every person is in every frame, how certain that is, and whether he was seen",
+    "landmarks.csv": "15 landmarks per person and frame, with standard deviations, metres",
+    "pose.npz": "joint angles, root, landmark covariances",
+    "body.toml": "the person's body as sized, for `body.model` of another run (body_1.toml and so on of several)",
+    "scene.rrd": "cameras, images, voxels and bodies on a time line, for the Rerun viewer",
+    "store.zarr": "masks and volumes of every frame; lets a run be resumed",
+    ".bvh": "animated skeleton for animation tools (y up, centimetres)",
+    ".trc": "landmark trajectories for biomechanics tools (y up, metres)",
+    ".c3d": "landmark trajectories for biomechanics tools (z up, millimetres)",
+    ".glb": "animated stick body for 3D viewers (y up, metres)",
+}
+
+
+def write_run_report(result: RunResult, folder: Path) -> None:
+    """report.html: what was found, pictures to judge it by, errors where truth exists, timing, settings."""
+    record, found = result.record, result.found
+    session = found.session
+    n = len(session.frames)
+    outputs = []
+    for name in sorted({"run.json", found.store.path.name, *(p.name for p in folder.iterdir())}):
+        words = OUTPUT_WORDS.get(name) or OUTPUT_WORDS.get(Path(name).suffix)
+        if words and not name.startswith("."):
+            outputs.append((name, words))
+    scores = record.scores or {}
+    height = ", ".join(f"person {p.person}: {p.body.height_m:.2f} m" for p in found.poses)
+    summary = [
+        ("Cameras", ", ".join(session.rig.names)),
+        ("Frames", f"{session.frames.start} to {session.frames.stop - 1} at {session.fps:g} frames/s"),
+        ("Body height", height or "no person"),
+        *_observation_words(record),
+        *_motion_words(record),
+        ("Pose filter", _filter_words(record)),
+        ("Seed", str(record.seed)),
+    ]
+    data = ReportData(
+        title=f"Motion capture: {session.name}",
+        session=session.name,
+        status="complete",
+        n_persons=len(found.poses),
+        n_frames=n,
+        n_cameras=len(session.rig),
+        fps=session.fps,
+        warnings=record.warnings,
+        summary=tuple(summary),
+        scores={k: scores[k] for k in SCORES if k in scores} or None,
+        per_landmark_mm=scores.get("per_landmark_mm"),
+        timings={
+            stage: (seconds, 1000.0 * seconds / n)
+            for stage, seconds in record.timings_s.items()
+            if stage != OUTPUTS
+        },
+        figures=tuple(run_figures(record, found)),
+        frames=tuple(frame_panels(found, record.config.output)),
+        outputs=tuple(outputs),
+        command=record.command or f"mocap run {session.name} -o {result.out.name} --seed {record.seed}",
+        config_text=json.dumps(record.config.model_dump(mode="json"), indent=1),
+        versions=dict(record.versions),
+        silhouettes=silhouette_numbers(record, found),
+    )
+    write_report(folder / "report.html", data)
+
+
+def _motion_words(record: RunRecord) -> list[tuple[str, str]]:
+    """What the poses say of themselves: how much of them was observed, and how calm they are."""
+    persons = record.numbers.get("pose", {}).get("persons", {})
+    observed = {p: n["observed_percent"] for p, n in persons.items() if n.get("observed_percent") is not None}
+    jitter = {p: n["jitter_m_s3"] for p, n in persons.items() if n.get("jitter_m_s3") is not None}
+    rows = []
+    if observed:
+        rows.append(("Landmarks observed", ", ".join(f"person {p}: {v:.1f} %" for p, v in observed.items())))
+    if jitter:
+        rows.append(
+            ("Jitter of landmarks", ", ".join(f"person {p}: {v:.0f} m/s^3" for p, v in jitter.items()))
+        )
+    return rows
+
+
+def _observation_words(record: RunRecord) -> list[tuple[str, str]]:
+    """What the poses were found from."""
+    detect, volume = record.numbers.get("detect"), record.numbers.get("carve", {})
+    if detect is not None:
+        source = {"detections": "detections/", "colour": "their colour in the pictures"}[detect["source"]]
+        return [
+            ("Markers found by", source),
+            ("Marker detections", f"{detect['mean_detections_per_picture']} per picture"),
+        ]
+    return [
+        ("Mean volume of the hull", f"{volume.get('mean_volume_litres', 0)} litres"),
+        ("Cameras that may be wrong about a voxel", str(volume.get("n_faulty_views", 0))),
+    ]
+
+
+def _filter_words(record: RunRecord) -> str:
+    pose = record.config.pose
+    text = f"{pose.filter}, {pose.n_layers} layers of {pose.n_particles} particles"
+    if pose.refine and record.kind == "markers":
+        text += ", refined on the detections"
+    elif pose.refine:
+        text += ", refined on the hull's surface"
+    return text

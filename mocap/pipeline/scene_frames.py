@@ -1,0 +1,99 @@
+"""The 3D scene of a run: frame by frame what the viewer shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body import Body, cones_of
+from mocap.io.video import FrameReader
+from mocap.pipeline.pose import PersonPoses
+from mocap.pipeline.record import Found
+from mocap.products.hulls import read_hulls, stored_grid
+from mocap.view import BodyPart
+from mocap.volume import choose_grid
+
+if TYPE_CHECKING:
+    from mocap.view import SceneFrame
+
+Array = NDArray[np.float64]
+Bounds = tuple[list[float], list[float]]
+
+_BOUNDS_STEP_M = 0.1
+
+
+def body_parts(body: Body, state: Array) -> list[BodyPart]:
+    """The flesh of a pose, part by part, as the views draw it.  state : (D,)."""
+    start, end = cones_of(body, state)
+    radii = body.cones.radii
+    parts = []
+    for p, (name, side) in enumerate(zip(body.layout.parts, body.part_sides, strict=True)):
+        rows = np.flatnonzero(body.cones.part == p)
+        cones = tuple((start[k], end[k], float(radii[k, 0]), float(radii[k, 1])) for k in rows)
+        parts.append(BodyPart(name=name, side=side, cones=cones))
+    return parts
+
+
+def rows_at(poses: Sequence[PersonPoses], frame: int) -> list[tuple[PersonPoses, int]]:
+    """The persons who have a pose in a frame, each with its row."""
+    rows = []
+    for p in poses:
+        i = int(np.searchsorted(p.frames, frame))
+        if i < len(p.frames) and p.frames[i] == frame:
+            rows.append((p, i))
+    return rows
+
+
+def write_scene(found: Found, path: Path) -> None:
+    """scene.rrd: cameras, images, coloured voxels and bodies on a time line."""
+    from mocap.view import write_rrd
+
+    session = found.session
+    write_rrd(
+        path,
+        session.rig,
+        scene_frames(found),
+        tracks=found.tracks,
+        bounds_m=room_bounds(found),
+        n_frames=len(session.frames),
+    )
+
+
+def scene_frames(found: Found) -> Iterator[SceneFrame]:
+    """The frames of the session in order, with pictures, hull and bodies; every product is opened once."""
+    from mocap.view import SceneFrame
+
+    session = found.session
+    with ExitStack() as stack:
+        pictures = hulls = None
+        if session.image_sources:
+            pictures = iter(
+                stack.enter_context(FrameReader(session.image_sources, session.rig, session.frames))
+            )
+        if found.hulls is not None:
+            hulls = read_hulls(found.hulls)
+        for frame in session.frames:
+            rows = rows_at(found.poses, frame)
+            images = next(pictures)[1] if pictures is not None else None
+            yield SceneFrame(
+                frame=frame,
+                time_s=frame / session.fps,
+                images=dict(zip(session.rig.names, images, strict=True)) if images else None,
+                hull=next(hulls)[1] if hulls is not None else None,
+                persons={p.person: p.landmarks[i] for p, i in rows},
+                parts={p.person: body_parts(p.body, p.states[i]) for p, i in rows},
+            )
+
+
+def room_bounds(found: Found) -> Bounds:
+    """Lower and upper corner of the room, m: the voxel grid's, the session's, or the cameras' common view."""
+    if found.hulls is not None:
+        grid = stored_grid(found.hulls)
+    else:
+        grid = choose_grid(found.session.rig, _BOUNDS_STEP_M, bounds_m=found.session.room_bounds_m)
+    return grid.origin.tolist(), grid.upper.tolist()

@@ -1,0 +1,208 @@
+"""A stage of a run: what it needs, what decides its result, and how it computes, frame by frame or on the whole clip.
+
+The loop over frames, the store, progress and threads stand here once, around every stage that works frame by frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import Hull
+from mocap.io.session import Session
+from mocap.io.store import StageStore, StageWriter
+from mocap.io.video import FrameReader, MaskReader
+from mocap.pipeline.config import Config
+from mocap.products import hulls, masks
+
+Progress = Callable[[str, int, int], None]
+Arrays = Mapping[str, NDArray[Any]]
+# What a step may be shown of a frame.
+PICTURES, GIVEN_MASKS, MASKS, HULLS = "pictures", "given masks", "masks", "hulls"
+
+
+def no_progress(stage: str, done: int, total: int) -> None:
+    """Says nothing."""
+
+
+@dataclass(frozen=True)
+class StageReport:
+    """What a stage has to say: warnings for the user and numbers for run.json."""
+
+    warnings: tuple[str, ...] = ()
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a stage is given to work on.
+
+    key : of its products.  each : `map` over threads; the result does not depend on their number.
+    """
+
+    session: Session
+    config: Config
+    store: StageStore
+    key: str = ""
+    seed: int = 0
+    n_threads: int = 1
+    progress: Progress = no_progress
+    each: Callable[..., Iterable[Any]] = map
+
+    def writer(self, product: str, attrs: dict[str, Any] | None = None) -> StageWriter:
+        """A product of the stage, to be written; use as context manager."""
+        return self.store.writer(product, self.key, attrs)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One frame as a step is shown it: only what the work `reads`.
+
+    index : place in the clip.  pictures : (H, W, 3) uint8 BGR of every camera.  masks : (H, W) bool of every camera.
+    """
+
+    index: int
+    frame: int
+    pictures: Sequence[NDArray[np.uint8]] | None = None
+    masks: Sequence[NDArray[np.bool_]] | None = None
+    hull: Hull | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One frame of one product."""
+
+    product: str
+    frame: int
+    arrays: Arrays
+
+
+@dataclass(frozen=True, eq=False)
+class Ending:
+    """What is known when all frames have been seen.
+
+    rows : of frames whose product had to wait.  attrs : product -> attributes.  again : the state of another walk over
+    the clip, which takes the place of this one; None = done.
+    """
+
+    rows: Sequence[Row] = ()
+    attrs: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+    again: Any = None
+
+
+@dataclass(frozen=True)
+class FrameWork:
+    """A stage as steps over frames, with everything that it remembers in a state.
+
+    reads : what a step is shown, by session.  step : gives the rows that are certain by now, of this frame or earlier.
+    """
+
+    reads: Callable[[Session], tuple[str, ...]]
+    start: Callable[[Job], Any]
+    step: Callable[[Any, Seen], tuple[Any, Sequence[Row]]]
+    finish: Callable[[Any], Ending]
+
+
+@dataclass(frozen=True)
+class ClipWork:
+    """A stage that needs the whole clip: it reads products of earlier stages in any order, and writes its own."""
+
+    run: Callable[[Job], None]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage.
+
+    until : the word that ends a run after it.  products : what it writes; all of them, or it has not been run.
+    needs : stages before it.  sections : of the configuration, that decide its result.  facts : of the session, besides
+    its files and cameras.  is_random : whether the seed decides, by configuration.
+    """
+
+    name: str
+    until: str
+    products: tuple[str, ...]
+    work: FrameWork | ClipWork
+    report: Callable[[Job], StageReport]
+    needs: tuple[str, ...] = ()
+    sections: tuple[str, ...] = ()
+    facts: tuple[str, ...] = ()
+    is_random: Callable[[Config], bool] = lambda config: False
+
+
+def is_done(stage: Stage, store: StageStore, key: str) -> bool:
+    """Whether every product of the stage is complete under this very key."""
+    return all(store.is_complete(product, key) for product in stage.products)
+
+
+def run_stage(stage: Stage, job: Job) -> None:
+    """Compute the products of a stage into the store."""
+    if isinstance(stage.work, ClipWork):
+        stage.work.run(job)
+        return
+    with ThreadPoolExecutor(max(1, job.n_threads)) as pool:
+        state = stage.work.start(replace(job, each=pool.map))
+        while state is not None:
+            state = _walk(stage, stage.work, state, job)
+
+
+def _walk(stage: Stage, work: FrameWork, state: Any, job: Job) -> Any:
+    """One walk over all frames; gives the state of the next one, None after the last."""
+    n = len(job.session.frames)
+    with ExitStack() as stack:
+        out = {product: stack.enter_context(job.writer(product)) for product in stage.products}
+        for seen in stack.enter_context(_frames(work.reads(job.session), job)):
+            state, rows = work.step(state, seen)
+            _append(out, rows)
+            job.progress(stage.name, seen.index + 1, n)
+        ending = work.finish(state)
+        if ending.again is not None:
+            for writer in out.values():
+                writer.discard()
+            return ending.again
+        _append(out, ending.rows)
+        for product, attrs in ending.attrs.items():
+            out[product].describe(attrs)
+    return None
+
+
+def _append(out: Mapping[str, StageWriter], rows: Sequence[Row]) -> None:
+    for row in rows:
+        out[row.product].append(row.frame, **row.arrays)
+
+
+@contextmanager
+def _frames(reads: tuple[str, ...], job: Job) -> Iterator[Iterator[Seen]]:
+    """The frames of the session in order, with what is read of them; every source is opened once."""
+    session, store = job.session, job.store
+    with ExitStack() as stack:
+        pictures = given = seen_masks = seen_hulls = None
+        if PICTURES in reads:
+            pictures = iter(
+                stack.enter_context(FrameReader(session.image_sources, session.rig, session.frames))
+            )
+        if GIVEN_MASKS in reads:
+            given = iter(stack.enter_context(MaskReader(session.mask_sources, session.rig, session.frames)))
+        if MASKS in reads:
+            seen_masks = masks.read_masks(store, session)
+        if HULLS in reads:
+            seen_hulls = hulls.read_hulls(store)
+
+        def frames() -> Iterator[Seen]:
+            for i, frame in enumerate(session.frames):
+                shown = given or seen_masks
+                yield Seen(
+                    i,
+                    frame,
+                    pictures=next(pictures)[1] if pictures is not None else None,
+                    masks=next(shown)[1] if shown is not None else None,
+                    hull=next(seen_hulls)[1] if seen_hulls is not None else None,
+                )
+
+        yield frames()

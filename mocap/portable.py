@@ -1,0 +1,94 @@
+"""What operating systems do each in their own way: the peak memory of a process, and a lock on a file."""
+
+from __future__ import annotations
+
+import sys
+from typing import IO, Any
+
+_BYTES_PER_MB = 2**20
+# Windows locks bytes, not files; one far behind the end leaves the content readable.
+_LOCKED_BYTE = 2**30
+
+
+def peak_memory_mb() -> float | None:
+    """Largest resident memory of this process so far, MB; None where the system does not tell."""
+    if sys.platform == "win32":
+        return _peak_memory_of_windows_mb()
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # Linux counts kB, macOS bytes.
+    return round(peak * (1 if sys.platform == "darwin" else 1024) / _BYTES_PER_MB, 1)
+
+
+def lock_file(stream: IO[Any]) -> bool:
+    """Lock an open file for this process alone; False when another process holds it.
+
+    The lock goes with the process, however it ends. On a file system without locks everybody gets one.
+    """
+    if sys.platform == "win32":
+        return _lock_file_of_windows(stream)
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True  # such as some network file systems
+    return True
+
+
+if sys.platform == "win32":
+
+    def _lock_file_of_windows(stream: IO[Any]) -> bool:
+        import msvcrt
+
+        place = stream.tell()
+        stream.seek(_LOCKED_BYTE)
+        try:
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            stream.seek(place)
+        return True
+
+    def _peak_memory_of_windows_mb() -> float | None:
+        import ctypes
+        from ctypes import wintypes
+
+        class Counters(ctypes.Structure):
+            """PROCESS_MEMORY_COUNTERS of psapi.h."""
+
+            _fields_ = [
+                ("cb", wintypes.DWORD),
+                ("PageFaultCount", wintypes.DWORD),
+                *(
+                    (name, ctypes.c_size_t)
+                    for name in (
+                        "PeakWorkingSetSize",
+                        "WorkingSetSize",
+                        "QuotaPeakPagedPoolUsage",
+                        "QuotaPagedPoolUsage",
+                        "QuotaPeakNonPagedPoolUsage",
+                        "QuotaNonPagedPoolUsage",
+                        "PagefileUsage",
+                        "PeakPagefileUsage",
+                    )
+                ),
+            ]
+
+        counters = Counters()
+        counters.cb = ctypes.sizeof(counters)
+        process = ctypes.windll.kernel32.GetCurrentProcess
+        process.restype = wintypes.HANDLE
+        info = ctypes.windll.psapi.GetProcessMemoryInfo
+        info.argtypes = [wintypes.HANDLE, ctypes.POINTER(Counters), wintypes.DWORD]
+        if not info(process(), ctypes.byref(counters), counters.cb):
+            return None
+        return round(counters.PeakWorkingSetSize / _BYTES_PER_MB, 1)

@@ -1,0 +1,93 @@
+"""Hulls, product `carve`: coloured voxels of every frame, and pixels of the silhouettes.
+
+Per frame `voxels` (N,) int32, `is_surface` (N,) bool, `n_views` (N,) uint8, `rgb` (N, 3) uint8, `used` (C,) bool, the
+cameras that took part, and `pixel_camera`, `pixel_uv`, `pixel_rgb` of `SilhouettePixels`; grid and camera faults in the
+attributes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import Hull, VoxelGrid
+from mocap.data.pixels import SilhouettePixels
+from mocap.io.store import StageStore
+from mocap.volume import CameraFault
+
+PRODUCT = "carve"
+
+
+def hull_row(hull: Hull, used: NDArray[np.bool_], pixels: SilhouettePixels) -> dict[str, NDArray[np.generic]]:
+    """The arrays of one frame.  used : (C,)."""
+    return {
+        "voxels": hull.voxels,
+        "is_surface": hull.is_surface,
+        "n_views": hull.n_views,
+        "rgb": hull.rgb,
+        "used": used,
+        "pixel_camera": pixels.camera,
+        "pixel_uv": pixels.uv,
+        "pixel_rgb": pixels.rgb,
+    }
+
+
+def hull_attrs(
+    grid: VoxelGrid, cameras: Sequence[str], n_faulty_views: int, faults: Sequence[CameraFault]
+) -> dict[str, object]:
+    """The attributes of the product."""
+    return {
+        "origin_m": grid.origin.tolist(),
+        "shape": list(grid.shape),
+        "voxel_size_m": grid.voxel_size_m,
+        "n_faulty_views": n_faulty_views,
+        "cameras": list(cameras),
+        "camera_faults": [asdict(f) for f in faults],
+    }
+
+
+def stored_grid(store: StageStore) -> VoxelGrid:
+    """The grid that the hulls in the store live on."""
+    return grid_from_attrs(store.reader(PRODUCT).attrs)
+
+
+def grid_from_attrs(attrs: dict[str, Any]) -> VoxelGrid:
+    """The grid out of the attributes of the product."""
+    return VoxelGrid(np.array(attrs["origin_m"]), tuple(attrs["shape"]), attrs["voxel_size_m"])
+
+
+def stored_faults(store: StageStore) -> tuple[CameraFault, ...]:
+    """What the carve stage has found wrong with cameras."""
+    return tuple(CameraFault(**fault) for fault in store.reader(PRODUCT).attrs.get("camera_faults", []))
+
+
+def hull_from_arrays(grid: VoxelGrid, arrays: dict[str, NDArray[np.generic]]) -> Hull:
+    """One frame of the product as a Hull."""
+    return Hull(
+        grid,
+        arrays["voxels"].astype(np.int32, copy=False),
+        arrays["is_surface"].astype(np.bool_, copy=False),
+        arrays["n_views"].astype(np.uint8, copy=False),
+        arrays["rgb"].astype(np.uint8, copy=False),
+    )
+
+
+def pixels_from_arrays(arrays: dict[str, NDArray[np.generic]]) -> SilhouettePixels:
+    """The silhouettes' pixels of one frame of the product."""
+    return SilhouettePixels(
+        arrays["pixel_camera"].astype(np.uint8, copy=False),
+        arrays["pixel_uv"].astype(np.int16, copy=False),
+        arrays["pixel_rgb"].astype(np.uint8, copy=False),
+    )
+
+
+def read_hulls(store: StageStore) -> Iterator[tuple[int, Hull]]:
+    """Frames and their hulls, from the store."""
+    reader = store.reader(PRODUCT)
+    grid = grid_from_attrs(reader.attrs)
+    for frame, arrays in reader:
+        yield frame, hull_from_arrays(grid, arrays)
