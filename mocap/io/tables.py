@@ -55,8 +55,8 @@ def read_tracks_csv(path: Path | str) -> Tracks:
     path = Path(path)
     rows: dict[tuple[int, int], tuple[float, ...]] = {}
     status: dict[tuple[int, int], bool] = {}
-    for line, row in _rows(path, TRACK_COLUMNS):
-        key = (_whole(path, line, row, "frame"), _whole(path, line, row, "person"))
+    for line, row in rows_of(path, TRACK_COLUMNS):
+        key = (whole_of(path, line, row, "frame"), whole_of(path, line, row, "person"))
         if key in rows:
             raise _bad(path, line, f"frame {key[0]} of person {key[1]} is there twice")
         rows[key] = (
@@ -116,8 +116,8 @@ def read_landmarks_csv(path: Path | str) -> list[Motion]:
     places: dict[int, dict[int, dict[int, tuple[float, ...]]]] = {}
     times: dict[tuple[int, int], float] = {}
     observed: dict[tuple[int, int, int], bool] = {}
-    for line, row in _rows(path, LANDMARK_COLUMNS):
-        frame, person = _whole(path, line, row, "frame"), _whole(path, line, row, "person")
+    for line, row in rows_of(path, LANDMARK_COLUMNS):
+        frame, person = whole_of(path, line, row, "frame"), whole_of(path, line, row, "person")
         name = row["landmark"].strip()
         if name not in _LANDMARK_INDEX:
             raise _bad(path, line, f"unknown landmark {name!r}; known are {', '.join(LANDMARKS)}")
@@ -166,8 +166,8 @@ def read_detections_csv(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np
     """
     path = Path(path)
     frames, pixels = [], []
-    for line, row in _rows(path, DETECTION_COLUMNS):
-        frames.append(_whole(path, line, row, "frame"))
+    for line, row in rows_of(path, DETECTION_COLUMNS):
+        frames.append(whole_of(path, line, row, "frame"))
         pixels.append([_number(path, line, row, c) for c in DETECTION_COLUMNS[1:]])
     frame = np.array(frames, dtype=np.int64)
     order = np.argsort(frame, kind="stable")
@@ -181,8 +181,8 @@ def read_marker_labels_csv(path: Path | str) -> tuple[NDArray[np.int64], list[st
     """
     path = Path(path)
     frames, cameras, pixels = [], [], []
-    for line, row in _rows(path, LABEL_COLUMNS):
-        frames.append(_whole(path, line, row, "frame"))
+    for line, row in rows_of(path, LABEL_COLUMNS):
+        frames.append(whole_of(path, line, row, "frame"))
         cameras.append(row["camera"].strip())
         pixels.append([_number(path, line, row, c) for c in LABEL_COLUMNS[2:]])
     return np.array(frames, dtype=np.int64), cameras, np.array(pixels, dtype=np.float64).reshape(-1, 2)
@@ -199,7 +199,7 @@ def _text(value: float) -> str:
     return f"{float(value):.6f}"
 
 
-def _rows(path: Path, required: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
+def rows_of(path: Path, required: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
     """(line number, fields by column) of a CSV file with at least the required columns."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -238,7 +238,7 @@ def _number(path: Path, line: int, row: dict[str, str], column: str, *, may_miss
     return value
 
 
-def _whole(path: Path, line: int, row: dict[str, str], column: str) -> int:
+def whole_of(path: Path, line: int, row: dict[str, str], column: str) -> int:
     value = _number(path, line, row, column)
     if value != int(value) or value < 0:
         raise _bad(path, line, f"{column} is {row[column]!r}, not a whole number from 0 on")

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS, CameraRig, Motion, Tracks
 from mocap.errors import MocapError
-from mocap.io.poses import PoseFile, Reading, SideMap, read_map, read_motions, read_poses
-from mocap.io.poses.actions import read_actions_csv
-from mocap.io.poses.panoptic import panoptic_folder
-from mocap.io.poses.tables import read_csv
+from mocap.io.actions import read_actions_csv
+from mocap.io.formats import PoseFile, read_poses
+from mocap.io.formats.csv import read_csv
+from mocap.io.formats.panoptic import panoptic_folder
+from mocap.io.poses import Reading, SideMap, read_map, read_motions
 from mocap.io.store import StageStore
 from mocap.io.tables import read_tracks_csv
 from mocap.metrics import (

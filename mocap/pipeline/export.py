@@ -11,9 +11,9 @@ import numpy as np
 from mocap.body import skeleton_of
 from mocap.data import Hull
 from mocap.errors import MocapError
-from mocap.io import export
+from mocap.io import formats
 from mocap.io._files import writing
-from mocap.io.export import voxels
+from mocap.io.formats import voxels
 from mocap.io.store import StageStore
 from mocap.pipeline.products.poses import motion_of, stored_poses
 from mocap.pipeline.tracking import every_frame
@@ -104,13 +104,13 @@ def _export_motion(
         if format in ("bvh", "glb"):
             states = every_frame(poses.frames[keep], poses.states[keep])
             skeleton = skeleton_of(poses.body, states, poses.person)
-            (export.write_bvh if format == "bvh" else export.write_glb)(path, skeleton, fps)
+            (formats.write_bvh if format == "bvh" else formats.write_glb)(path, skeleton, fps)
         else:
             motion = motion_of(poses, fps)
             motion = type(motion)(
                 motion.person, motion.frames[keep], motion.time_s[keep], motion.landmarks[keep]
             )
-            (export.write_trc if format == "trc" else export.write_c3d)(path, motion, fps)
+            (formats.write_trc if format == "trc" else formats.write_c3d)(path, motion, fps)
         written.append(path)
         progress("export", i + 1, len(people))
     if not written:

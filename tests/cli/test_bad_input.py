@@ -28,7 +28,7 @@ from small_session import (
 
 from mocap.data import LANDMARKS, Motion
 from mocap.errors import MocapError
-from mocap.io.export import write_c3d
+from mocap.io.formats import write_c3d
 
 Damage = Callable[[Path], object]
 

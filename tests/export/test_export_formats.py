@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mocap.data import LANDMARKS, Motion, Skeleton
 from mocap.errors import MocapError
-from mocap.io.export import EXPORT_CONVENTIONS, write_bvh, write_c3d, write_glb, write_trc
+from mocap.io.formats import EXPORT_CONVENTIONS, write_bvh, write_c3d, write_glb, write_trc
 
 FPS = 25.0
 T = 9

@@ -11,7 +11,7 @@ import trimesh
 
 from mocap.data import Hull, VoxelGrid
 from mocap.errors import MocapError
-from mocap.io.export.voxels import (
+from mocap.io.formats.voxels import (
     UNSEEN_GREY,
     hull_quads,
     write_voxels_glb,

@@ -15,7 +15,7 @@ from small_session import mocap
 from mocap.data import LANDMARKS, Camera, CameraRig, Motion, Tracks, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.calibration import write_calibration
-from mocap.io.export import write_c3d, write_trc
+from mocap.io.formats import write_c3d, write_trc
 from mocap.io.poses import SideMap
 from mocap.io.store import StageStore
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv

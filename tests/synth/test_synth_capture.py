@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mocap.errors import MocapError
-from mocap.io.export.bvh import write_bvh
+from mocap.io.formats.bvh import write_bvh
 from mocap.synth.body import build_body
 from mocap.synth.capture import built_in_maps, read_amc, read_bvh, read_capture, read_map
 from mocap.synth.capture.retarget import _swing
@@ -165,15 +165,15 @@ def test_sampling_goes_between_frames_and_stops_at_the_ends(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("HIERARCHY", "HIER"), "line 1: a BVH file begins with HIERARCHY"),
-        (("OFFSET 1 0 0", "OFFSET 1 0"), "line 8: 3 numbers are expected, 2 are there"),
-        (("OFFSET 1 0 0", "OFFSET 1 0 x"), "line 8: '1 0 x' are no numbers"),
-        (("CHANNELS 3 Y", "CHANNELS 2 Y"), "line 9: CHANNELS"),
-        (("End Site", "Start Site"), "line 10: 'Start Site' is not expected here"),
-        (("Frames: 2", "Frames: 3"), "3 frames are announced, 2 are there"),
-        (("Frames: 2", "Frame 2"), "line 17: 'Frames:' is expected here"),
-        (("Time: 0.025", "Time: 0"), "are no motion"),
-        (("MOTION", ""), "is not expected here"),
+        (("HIERARCHY", "HIER"), "line 1: not a BVH file: it does not begin with HIERARCHY"),
+        (("OFFSET 1 0 0", "OFFSET 1 0"), "line 9: OFFSET of left leg is not three numbers"),
+        (("OFFSET 1 0 0", "OFFSET 1 0 x"), "line 8: OFFSET of left leg is not three numbers"),
+        (("CHANNELS 3 Y", "CHANNELS 2 Y"), "line 9: 'Xrotation' is not expected"),
+        (("End Site", "Start Site"), "line 10: 'Start' is not expected in the hierarchy"),
+        (("Frames: 2", "Frames: 3"), "18 numbers, expected 3 frames of 9 channels"),
+        (("Frames: 2", "Frame 2"), "line 17: 'Frames:' is expected"),
+        (("Time: 0.025", "Time: 0"), "make no sense"),
+        (("MOTION", ""), "line 17: 'Frames:' is not expected in the hierarchy"),
         (("1 2 3 90", "nan 2 3 90"), "not finite"),
     ],
 )

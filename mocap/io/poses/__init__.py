@@ -1,19 +1,6 @@
-"""Motion that other tools wrote: TRC, C3D, BVH, CSV and CMU Panoptic JSON, as named points and as our landmarks."""
+"""Named points of foreign files as our landmarks: known skeletons, the map of a user, units and axes."""
 
 from mocap.io.poses.maps import AXES, UNITS, SideMap, read_map, skeletons_known
 from mocap.io.poses.motions import Reading, read_motions
-from mocap.io.poses.readers import read_poses
-from mocap.io.poses.table import PoseFile, PoseTable
 
-__all__ = [
-    "AXES",
-    "UNITS",
-    "PoseFile",
-    "PoseTable",
-    "Reading",
-    "SideMap",
-    "read_map",
-    "read_motions",
-    "read_poses",
-    "skeletons_known",
-]
+__all__ = ["AXES", "UNITS", "Reading", "SideMap", "read_map", "read_motions", "skeletons_known"]

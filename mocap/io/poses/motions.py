@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS, Motion
 from mocap.errors import MocapError
+from mocap.io.formats.table import PoseFile, PoseTable
 from mocap.io.poses.maps import AXES, SideMap, automatic, plain, skeletons_known
-from mocap.io.poses.table import PoseFile, PoseTable
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Skeleton
-from mocap.io.export._common import Y_UP_FROM_WORLD, check_fps, held_poses, root_and_order, write_bytes
+from mocap.io.formats._writing import Y_UP_FROM_WORLD, check_fps, held_poses, root_and_order, write_bytes
 
 Array = NDArray[np.float64]
 

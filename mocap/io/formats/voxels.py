@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Hull
-from mocap.io.export._common import Y_UP_FROM_WORLD, replacing, write_bytes
-from mocap.io.export.gltf import _container, _floats
+from mocap.io.formats._writing import Y_UP_FROM_WORLD, replacing, write_bytes
+from mocap.io.formats.gltf import _container, _floats
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.uint8]

@@ -10,7 +10,7 @@ import numpy as np
 
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
-from mocap.io.poses.table import (
+from mocap.io.formats.table import (
     PoseFile,
     PoseTable,
     bad_line,

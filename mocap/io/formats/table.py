@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,3 +106,9 @@ def zero_note(n: int) -> tuple[str, ...]:
     if n == 0:
         return ()
     return (f"{n} point{'s' * (n != 1)} at exactly (0, 0, 0) taken as not seen",)
+
+
+def person_in_name(path: Path) -> int:
+    """Number of the person in a file name like person_2.trc or walk_P2_0-90.trc, else 0."""
+    match = re.search(r"(?:^|_)(?:person_?|P)(\d+)(?=_|$)", path.stem)
+    return int(match.group(1)) if match else 0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import MocapError
-from mocap.io.poses.table import PoseFile, PoseTable, text_of
+from mocap.io.formats.table import PoseFile, PoseTable, text_of
 
 HD_FPS = 29.97
 _MOST = 10**15

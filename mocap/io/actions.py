@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mocap.errors import MocapError
-from mocap.io.tables import _rows, _whole
+from mocap.io.tables import rows_of, whole_of
 
 ACTION_COLUMNS = ("first_frame", "last_frame", "action")
 
@@ -18,13 +18,13 @@ def read_actions_csv(path: Path | str) -> list[tuple[str, int, int, int | None]]
     """
     path = Path(path)
     actions = []
-    for line, row in _rows(path, ACTION_COLUMNS):
-        first, last = _whole(path, line, row, "first_frame"), _whole(path, line, row, "last_frame")
+    for line, row in rows_of(path, ACTION_COLUMNS):
+        first, last = whole_of(path, line, row, "first_frame"), whole_of(path, line, row, "last_frame")
         label = row["action"].strip()
         if last < first or not label:
             what = f"the last frame {last} is before the first {first}" if last < first else "action is empty"
             raise MocapError(f"line {line}: {what}", path=path, remedy="correct the table")
-        person = _whole(path, line, row, "person") if row.get("person", "").strip() else None
+        person = whole_of(path, line, row, "person") if row.get("person", "").strip() else None
         actions.append((label, first, last, person))
     if not actions:
         raise MocapError(

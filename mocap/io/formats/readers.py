@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from mocap.errors import MocapError
-from mocap.io.poses.bvh import read_bvh
-from mocap.io.poses.c3d import read_c3d
-from mocap.io.poses.panoptic import panoptic_folder, read_panoptic
-from mocap.io.poses.table import PoseFile
-from mocap.io.poses.tables import read_csv
-from mocap.io.poses.trc import read_trc
+from mocap.io.formats.bvh import read_bvh
+from mocap.io.formats.c3d import read_c3d
+from mocap.io.formats.csv import read_csv
+from mocap.io.formats.panoptic import panoptic_folder, read_panoptic
+from mocap.io.formats.table import PoseFile
+from mocap.io.formats.trc import read_trc
 
 _READERS = {
     ".trc": read_trc,

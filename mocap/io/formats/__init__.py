@@ -1,0 +1,30 @@
+"""Motion in the formats of other tools, one module each that reads and writes.
+
+Every file is written whole or not at all, and the same input gives the same bytes.
+"""
+
+from mocap.io.formats.bvh import write_bvh
+from mocap.io.formats.c3d import write_c3d
+from mocap.io.formats.gltf import write_glb
+from mocap.io.formats.readers import read_poses
+from mocap.io.formats.table import PoseFile, PoseTable
+from mocap.io.formats.trc import write_trc
+
+# What a reader must know of each format and what TRC, BVH and C3D have no agreed field for.
+EXPORT_CONVENTIONS: dict[str, dict[str, str]] = {
+    ".trc": {"units": "m", "up_axis": "y", "scene_xyz_is": "z, x, y of the file"},
+    ".c3d": {"units": "mm", "up_axis": "z", "scene_xyz_is": "x, y, z of the file"},
+    ".bvh": {"units": "cm", "up_axis": "y", "scene_xyz_is": "z, x, y of the file"},
+    ".glb": {"units": "m", "up_axis": "y", "scene_xyz_is": "z, x, y of the file"},
+}
+
+__all__ = [
+    "EXPORT_CONVENTIONS",
+    "PoseFile",
+    "PoseTable",
+    "read_poses",
+    "write_bvh",
+    "write_c3d",
+    "write_glb",
+    "write_trc",
+]

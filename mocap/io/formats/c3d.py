@@ -1,0 +1,149 @@
+"""C3D, the binary marker file of biomechanics laboratories: read and written through ezc3d."""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from mocap.data import LANDMARKS, Motion
+from mocap.errors import MocapError
+from mocap.io.formats._writing import check_fps, gap_free, replacing
+from mocap.io.formats.table import PoseFile, PoseTable, person_in_name, without_zeros, zero_note
+
+_UNITS = {"m": "m", "cm": "cm", "mm": "mm"}
+_C3D_KEY = 0x50  # second byte of every C3D file
+_BLOCK_BYTES = 512  # C3D files are made of blocks
+
+
+def read_c3d(path: Path) -> PoseFile:
+    """Read the points of a C3D file: one person, points with a negative residual are unknown.
+
+    Up is what POINT:Y_SCREEN says points up on a screen, else z. A prefix `Name:` of the labels is left out.
+    Needs the extra `export`. Raises MocapError for what is no C3D file or holds no points.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(2)
+    except OSError as error:
+        raise MocapError(
+            f"the file cannot be read: {error.strerror}", path=path, remedy="check the path"
+        ) from error
+    if len(head) < 2 or head[1] != _C3D_KEY:
+        raise MocapError("not a C3D file", path=path, remedy="export the file again")
+    try:
+        import ezc3d
+    except ImportError as error:
+        raise MocapError(
+            "reading C3D needs the package ezc3d, which is not installed",
+            remedy='install it with: pip install "mocap[export]"',
+            path=path,
+        ) from error
+    try:
+        c3d = ezc3d.c3d(str(path))
+        point = c3d["parameters"]["POINT"]
+        xyz = np.asarray(c3d["data"]["points"], dtype=np.float64)[:3].transpose(2, 1, 0)
+        residual = np.asarray(c3d["data"]["meta_points"]["residuals"], dtype=np.float64)
+        first = int(c3d["header"]["points"]["first_frame"])
+    except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
+        raise MocapError(
+            f"the C3D file cannot be read: {error}", path=path, remedy="export the file again"
+        ) from error
+    labels: list[str] = []
+    for key in ["LABELS", *(f"LABELS{i}" for i in range(2, 20))]:
+        labels += list(point[key]["value"]) if key in point else []
+    K = min(len(labels), xyz.shape[1])
+    if K == 0:
+        raise MocapError("the C3D file holds no named points", path=path, remedy="export points with labels")
+    names = tuple(str(label).rpartition(":")[2].strip() for label in labels[:K])
+    xyz = xyz[:, :K]
+    if residual.size == residual.shape[-1] * residual.shape[-2]:
+        lost = residual.reshape(residual.shape[-2], residual.shape[-1]).T[:, :K] < 0
+        xyz = np.where(lost[:, :, None], np.nan, xyz)
+    xyz, n_zero = without_zeros(xyz)
+    rate = float(np.ravel(point["RATE"]["value"])[0]) if "RATE" in point else 0.0
+    screen = str(np.ravel(point["Y_SCREEN"]["value"])[0]) if "Y_SCREEN" in point else "+Z"
+    units = str(np.ravel(point["UNITS"]["value"])[0]).strip().lower() if "UNITS" in point else ""
+    frames = first + np.arange(len(xyz), dtype=np.int64)
+    fps = rate if rate > 0 else None
+    time_s = np.asarray(frames / rate if rate > 0 else frames, dtype=np.float64)
+    return PoseFile(
+        path=path,
+        format="C3D",
+        people=(PoseTable(person_in_name(path), names, frames, time_s, xyz),),
+        fps=fps,
+        unit=_UNITS.get(units),
+        up=screen.strip().lower().removeprefix("+") if screen.strip()[-1:].lower() in "xyz" else "z",
+        notes=zero_note(n_zero),
+    )
+
+
+def write_c3d(path: Path, motion: Motion, fps: float) -> None:
+    """Write the landmarks of one person as a C3D file in millimetres, Z up, axes as in the scene.
+
+    Millimetres are what readers of C3D assume; the file says so in POINT:UNITS. One frame for every frame
+    from the motion's first to its last; an unknown landmark has the residual -1 (C3D's mark of an invalid
+    point). Needs the extra `export`; without it, for a motion without frames, or when the file cannot be
+    written, MocapError. Raises ValueError for fps <= 0.
+    """
+    check_fps(fps)
+    path = Path(path)
+    try:
+        import ezc3d
+    except ImportError as error:
+        raise MocapError(
+            "writing C3D needs the package ezc3d, which is not installed",
+            remedy='install it with: pip install "mocap[export]"',
+            path=path,
+        ) from error
+    if len(motion) == 0:
+        raise MocapError(
+            f"person {motion.person} has no frames; a C3D file cannot be empty",
+            remedy="export another person or a frame range in which this one is present",
+            path=path,
+        )
+    motion = gap_free(motion, fps)
+    known = np.all(np.isfinite(motion.landmarks), axis=2)
+    points = np.ones((4, len(LANDMARKS), len(motion)))
+    points[:3] = np.where(known[:, :, None], 1000.0 * motion.landmarks, np.nan).transpose(2, 1, 0)
+
+    c3d = ezc3d.c3d()
+    point = c3d["parameters"]["POINT"]
+    point["RATE"]["value"] = [float(fps)]
+    point["LABELS"]["value"] = list(LANDMARKS)
+    point["DESCRIPTIONS"]["value"] = [name.replace("_", " ") for name in LANDMARKS]
+    point["UNITS"]["value"] = ["mm"]
+    c3d.add_parameter("POINT", "X_SCREEN", ["+X"])
+    c3d.add_parameter("POINT", "Y_SCREEN", ["+Z"])
+    c3d["header"]["points"]["first_frame"] = int(motion.frames[0])
+    c3d["data"]["points"] = points
+    c3d["data"]["meta_points"]["residuals"] = np.where(known.T, 0.0, -1.0)[None]
+    with replacing(path) as temporary:
+        try:
+            c3d.write(str(temporary))
+        except (RuntimeError, ValueError) as error:
+            raise MocapError(
+                f"ezc3d could not write the file: {error}",
+                remedy="check that the folder is writable and has space left",
+                path=path,
+            ) from error
+        if not _is_whole(temporary, points.shape[1] * points.shape[2]):
+            # ezc3d says nothing when the disk is full.
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _is_whole(path: Path, n_points: int) -> bool:
+    """Whether a file of so many points (x, y, z, residual as float32) was written to its end.
+
+    ezc3d puts the block where the data begin into the header at the very end; until then it says 1.
+    """
+    with path.open("rb") as file:
+        header = file.read(_BLOCK_BYTES)
+    if len(header) < _BLOCK_BYTES:
+        return False
+    (first_block,) = struct.unpack_from("<H", header, 16)
+    return first_block > 1 and path.stat().st_size >= (first_block - 1) * _BLOCK_BYTES + 16 * n_points
