@@ -52,21 +52,7 @@ def read_tracks_csv(path: Path | str) -> Tracks:
     Of the covariance the table holds the diagonal; it and `observed` are None where the table does not have them.
     Raises MocapError with the line for a missing column, a number that is none, an unknown status, or a doubled row.
     """
-    path = Path(path)
-    rows: dict[tuple[int, int], tuple[float, ...]] = {}
-    status: dict[tuple[int, int], bool] = {}
-    for line, row in rows_of(path, TRACK_COLUMNS):
-        key = (whole_of(path, line, row, "frame"), whole_of(path, line, row, "person"))
-        if key in rows:
-            raise _bad(path, line, f"frame {key[0]} of person {key[1]} is there twice")
-        rows[key] = (
-            *(_number(path, line, row, c) for c in ("time_s", "x_m", "y_m", "z_m")),
-            *(_number(path, line, row, c, may_miss=True) for c in TRACK_STATUS_COLUMNS[:3]),
-        )
-        if word := row.get("status", "").strip().lower():
-            if word not in _STATUS:
-                raise _bad(path, line, f"status is {word!r}, expected {' or '.join(_STATUS)}")
-            status[key] = _STATUS[word]
+    rows, status = _track_rows(Path(path))
     keys = sorted(rows)
     values = np.array([rows[k] for k in keys], dtype=np.float64).reshape(-1, 7)
     index = np.array(keys, dtype=np.int64).reshape(-1, 2)
@@ -81,6 +67,27 @@ def read_tracks_csv(path: Path | str) -> Tracks:
     )
 
 
+def _track_rows(
+    path: Path,
+) -> tuple[dict[tuple[int, int], tuple[float, ...]], dict[tuple[int, int], bool]]:
+    """(frame, person) -> time, place and deviation, and -> whether the person was seen, where the table says it."""
+    rows: dict[tuple[int, int], tuple[float, ...]] = {}
+    status: dict[tuple[int, int], bool] = {}
+    for line, row in rows_of(path, TRACK_COLUMNS):
+        key = (whole_of(path, line, row, "frame"), whole_of(path, line, row, "person"))
+        if key in rows:
+            raise _bad(path, line, f"frame {key[0]} of person {key[1]} is there twice")
+        rows[key] = (
+            *(_number(path, line, row, c) for c in ("time_s", "x_m", "y_m", "z_m")),
+            *(_number(path, line, row, c, may_miss=True) for c in TRACK_STATUS_COLUMNS[:3]),
+        )
+        if word := row.get("status", "").strip().lower():
+            if word not in _STATUS:
+                raise _bad(path, line, f"status is {word!r}, expected {' or '.join(_STATUS)}")
+            status[key] = _STATUS[word]
+    return rows, status
+
+
 def write_landmarks_csv(path: Path | str, motions: Sequence[Motion]) -> None:
     """Write the landmarks of all persons, rows by frame, person and order of LANDMARKS, atomically.
 
@@ -92,17 +99,21 @@ def write_landmarks_csv(path: Path | str, motions: Sequence[Motion]) -> None:
     buffer = io.StringIO()
     columns = LANDMARK_COLUMNS + (UNCERTAINTY_COLUMNS if has_more else ())
     buffer.write(",".join(columns) + "\n")
-    for frame, person, k, i in order:
-        motion = motions[k]
-        begin = f"{frame},{_text(motion.time_s[i])},{person}"
-        for j, name in enumerate(LANDMARKS):
-            fields = [begin, name, *(_text(x) for x in motion.landmarks[i, j])]
-            if has_more:
-                std = np.full(3, np.nan) if motion.std is None else motion.std[i, j]
-                fields += [_text(x) for x in std]
-                fields.append("" if motion.observed is None else str(int(motion.observed[i, j])))
-            buffer.write(",".join(fields) + "\n")
+    for _, _, k, i in order:
+        buffer.writelines(_landmark_lines(motions[k], i, has_more))
     atomic_text(Path(path), buffer.getvalue())
+
+
+def _landmark_lines(motion: Motion, i: int, has_more: bool) -> Iterator[str]:
+    """The rows of one person in one frame.  has_more : with deviations and `observed`."""
+    begin = f"{int(motion.frames[i])},{_text(motion.time_s[i])},{motion.person}"
+    for j, name in enumerate(LANDMARKS):
+        fields = [begin, name, *(_text(x) for x in motion.landmarks[i, j])]
+        if has_more:
+            std = np.full(3, np.nan) if motion.std is None else motion.std[i, j]
+            fields += [_text(x) for x in std]
+            fields.append("" if motion.observed is None else str(int(motion.observed[i, j])))
+        yield ",".join(fields) + "\n"
 
 
 def read_landmarks_csv(path: Path | str) -> list[Motion]:
@@ -112,51 +123,58 @@ def read_landmarks_csv(path: Path | str) -> list[Motion]:
     Raises MocapError with the line for a missing column, an unknown landmark, a number that is none, or a
     doubled row.
     """
-    path = Path(path)
-    places: dict[int, dict[int, dict[int, tuple[float, ...]]]] = {}
-    times: dict[tuple[int, int], float] = {}
-    observed: dict[tuple[int, int, int], bool] = {}
-    for line, row in rows_of(path, LANDMARK_COLUMNS):
-        frame, person = whole_of(path, line, row, "frame"), whole_of(path, line, row, "person")
+    people: dict[int, _PersonRows] = {}
+    for line, row in rows_of(Path(path), LANDMARK_COLUMNS):
+        person = whole_of(Path(path), line, row, "person")
+        people.setdefault(person, _PersonRows(Path(path), person)).add(line, row)
+    return [people[person].motion() for person in sorted(people)]
+
+
+class _PersonRows:
+    """The rows of one person while a table of landmarks is read."""
+
+    def __init__(self, path: Path, person: int) -> None:
+        self._path, self._person = path, person
+        self._times: dict[int, float] = {}
+        # Frame -> landmark -> place and deviation; (frame, landmark) -> whether it was seen.
+        self._values: dict[int, dict[int, tuple[float, ...]]] = {}
+        self._observed: dict[tuple[int, int], bool] = {}
+
+    def add(self, line: int, row: dict[str, str]) -> None:
+        frame = whole_of(self._path, line, row, "frame")
         name = row["landmark"].strip()
         if name not in _LANDMARK_INDEX:
-            raise _bad(path, line, f"unknown landmark {name!r}; known are {', '.join(LANDMARKS)}")
+            raise _bad(self._path, line, f"unknown landmark {name!r}; known are {', '.join(LANDMARKS)}")
         landmark = _LANDMARK_INDEX[name]
-        there = places.setdefault(person, {}).setdefault(frame, {})
+        there = self._values.setdefault(frame, {})
         if landmark in there:
-            raise _bad(path, line, f"{name} of person {person} in frame {frame} is there twice")
-        times.setdefault((person, frame), _number(path, line, row, "time_s"))
+            raise _bad(self._path, line, f"{name} of person {self._person} in frame {frame} is there twice")
+        self._times.setdefault(frame, _number(self._path, line, row, "time_s"))
         there[landmark] = tuple(
-            _number(path, line, row, c, may_miss=True)
+            _number(self._path, line, row, c, may_miss=True)
             for c in ("x_m", "y_m", "z_m", *UNCERTAINTY_COLUMNS[:3])
         )
         if word := row.get("observed", "").strip().lower():
             if word not in _OBSERVED:
-                raise _bad(path, line, f"observed is {word!r}, expected 0 or 1")
-            observed[person, frame, landmark] = _OBSERVED[word]
+                raise _bad(self._path, line, f"observed is {word!r}, expected 0 or 1")
+            self._observed[frame, landmark] = _OBSERVED[word]
 
-    motions = []
-    for person in sorted(places):
-        frames = sorted(places[person])
+    def motion(self) -> Motion:
+        frames = sorted(self._values)
         values = np.full((len(frames), len(LANDMARKS), 6), np.nan)
         seen = np.zeros((len(frames), len(LANDMARKS)), dtype=np.bool_)
         for i, frame in enumerate(frames):
-            for j, row_values in places[person][frame].items():
+            for j, row_values in self._values[frame].items():
                 values[i, j] = row_values
-                seen[i, j] = observed.get((person, frame, j), False)
-        has_std = bool(np.isfinite(values[..., 3:]).any())
-        has_observed = any(key[0] == person for key in observed)
-        motions.append(
-            Motion(
-                person,
-                np.array(frames, dtype=np.int64),
-                np.array([times[person, f] for f in frames]),
-                values[..., :3].copy(),
-                values[..., 3:].copy() if has_std else None,
-                seen if has_observed else None,
-            )
+                seen[i, j] = self._observed.get((frame, j), False)
+        return Motion(
+            self._person,
+            np.array(frames, dtype=np.int64),
+            np.array([self._times[f] for f in frames]),
+            values[..., :3].copy(),
+            values[..., 3:].copy() if np.isfinite(values[..., 3:]).any() else None,
+            seen if self._observed else None,
         )
-    return motions
 
 
 def read_detections_csv(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -200,17 +218,14 @@ def _text(value: float) -> str:
 
 
 def rows_of(path: Path, required: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
-    """(line number, fields by column) of a CSV file with at least the required columns."""
+    """(line number, fields by column) of a CSV file with at least the required columns.
+
+    Raises MocapError for a file that cannot be read, a column that is missing or there twice, a line of other length.
+    """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
-            header = [c.strip() for c in next(reader, [])]
-            if missing := [c for c in required if c not in header]:
-                raise _bad(
-                    path, 1, f"column {', '.join(missing)} is missing; the file has {', '.join(header)}"
-                )
-            if len(set(header)) < len(header):
-                raise _bad(path, 1, "a column is there twice")
+            header = _header(path, next(reader, []), required)
             for fields in reader:
                 if not any(f.strip() for f in fields):
                     continue
@@ -223,6 +238,15 @@ def rows_of(path: Path, required: Sequence[str]) -> Iterator[tuple[int, dict[str
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise MocapError(f"not a CSV file: {error}", path=path, remedy="write the table again") from error
+
+
+def _header(path: Path, fields: list[str], required: Sequence[str]) -> list[str]:
+    header = [c.strip() for c in fields]
+    if missing := [c for c in required if c not in header]:
+        raise _bad(path, 1, f"column {', '.join(missing)} is missing; the file has {', '.join(header)}")
+    if len(set(header)) < len(header):
+        raise _bad(path, 1, "a column is there twice")
+    return header
 
 
 def _number(path: Path, line: int, row: dict[str, str], column: str, *, may_miss: bool = False) -> float:
@@ -239,6 +263,7 @@ def _number(path: Path, line: int, row: dict[str, str], column: str, *, may_miss
 
 
 def whole_of(path: Path, line: int, row: dict[str, str], column: str) -> int:
+    """A whole number from 0 on out of one field of a row; MocapError with the line for anything else."""
     value = _number(path, line, row, column)
     if value != int(value) or value < 0:
         raise _bad(path, line, f"{column} is {row[column]!r}, not a whole number from 0 on")

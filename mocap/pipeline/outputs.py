@@ -13,6 +13,7 @@ import numpy as np
 from mocap.body import skeleton_of
 from mocap.errors import MissingExtra
 from mocap.io._files import atomic_text, writing
+from mocap.io.formats import write_bvh, write_c3d, write_glb, write_trc
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose import PersonPoses
@@ -46,13 +47,13 @@ def write_exports(found: Found, config: Config, folder: Path, *, progress: Progr
         stem = folder / f"person_{poses.person}"
         skeleton = skeleton_of(poses.body, every_frame(poses.frames, poses.states), poses.person)
         if "bvh" in formats:
-            steps.append(("bvh", partial(formats.write_bvh, stem.with_suffix(".bvh"), skeleton, fps)))
+            steps.append(("bvh", partial(write_bvh, stem.with_suffix(".bvh"), skeleton, fps)))
         if "glb" in formats:
-            steps.append(("glb", partial(formats.write_glb, stem.with_suffix(".glb"), skeleton, fps)))
+            steps.append(("glb", partial(write_glb, stem.with_suffix(".glb"), skeleton, fps)))
         if "trc" in formats:
-            steps.append(("trc", partial(formats.write_trc, stem.with_suffix(".trc"), motion, fps)))
+            steps.append(("trc", partial(write_trc, stem.with_suffix(".trc"), motion, fps)))
         if "c3d" in formats:
-            steps.append(("c3d", partial(formats.write_c3d, stem.with_suffix(".c3d"), motion, fps)))
+            steps.append(("c3d", partial(write_c3d, stem.with_suffix(".c3d"), motion, fps)))
     if "rrd" in formats:
         steps.append(("rrd", partial(write_scene, found, folder / "scene.rrd")))
     left_out = []

@@ -78,12 +78,16 @@ def root_and_order(skeleton: Skeleton) -> list[int]:
     roots = [j for j, p in enumerate(parents) if p < 0]
     if len(roots) != 1 or any(p >= j for j, p in enumerate(parents)):
         raise ValueError(f"skeleton must have one root and parents before children, got parents {parents}")
+    return _depth_first(roots[0], parents)
+
+
+def _depth_first(root: int, parents: list[int]) -> list[int]:
     order: list[int] = []
-    stack = [roots[0]]
+    stack = [root]
     while stack:
         j = stack.pop()
         order.append(j)
-        stack += [k for k in reversed(range(n_joints)) if parents[k] == j]
+        stack += [k for k in reversed(range(len(parents))) if parents[k] == j]
     return order
 
 

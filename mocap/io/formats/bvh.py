@@ -150,22 +150,21 @@ class _Hierarchy:
         self._n_channels = 0
 
     def read(self) -> tuple[BvhJoint, ...]:
-        while (word := self._words.take()) is not None:
-            if word == "MOTION" and not self._stack and self._joints:
-                return tuple(self._joints)
-            if word in ("ROOT", "JOINT") or (word == "End" and self._words.peek() == "Site"):
+        inside: dict[str, Callable[[], Any]] = {
+            "OFFSET": self._offset,
+            "CHANNELS": self._channels,
+            "}": self._stack.pop,
+        }
+        while (word := self._words.take() or "") not in ("", "MOTION"):
+            if word in ("ROOT", "JOINT", "End"):
                 self._open(word)
-            elif word == "}" and self._stack:
-                self._stack.pop()
-            elif word == "OFFSET" and self._stack:
-                self._offset()
-            elif word == "CHANNELS" and self._stack:
-                self._channels()
-            elif word == "MOTION":
-                raise self._words.error("the hierarchy ends too early")
+            elif word in inside and self._stack:
+                inside[word]()
             else:
                 raise self._words.error(f"{word!r} is not expected in the hierarchy")
-        raise self._words.error("the hierarchy ends too early: MOTION is missing")
+        if not word or self._stack or not self._joints:
+            raise self._words.error("the hierarchy ends too early, or MOTION is missing")
+        return tuple(self._joints)
 
     def _open(self, word: str) -> None:
         name_words = []
@@ -176,7 +175,7 @@ class _Hierarchy:
         name = " ".join(name_words)
         parent = self._stack[-1] if self._stack else -1
         if word == "End":
-            if parent < 0:
+            if parent < 0 or name != "Site":
                 raise self._words.error("an end site has no joint")
             name = f"{self._joints[parent].name}_end"
         if (word == "ROOT") != (not self._joints):

@@ -6,14 +6,19 @@ import errno
 import os
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS, Motion
 from mocap.errors import MocapError
 from mocap.io.formats._writing import check_fps, gap_free, replacing
 from mocap.io.formats.table import PoseFile, PoseTable, person_in_name, without_zeros, zero_note
 
+Array = NDArray[np.float64]
+
+_AXES = ("x", "-x", "y", "-y", "z", "-z")
 _UNITS = {"m": "m", "cm": "cm", "mm": "mm"}
 _C3D_KEY = 0x50  # second byte of every C3D file
 _BLOCK_BYTES = 512  # C3D files are made of blocks
@@ -26,33 +31,7 @@ def read_c3d(path: Path) -> PoseFile:
     Needs the extra `export`. Raises MocapError for what is no C3D file or holds no points.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(2)
-    except OSError as error:
-        raise MocapError(
-            f"the file cannot be read: {error.strerror}", path=path, remedy="check the path"
-        ) from error
-    if len(head) < 2 or head[1] != _C3D_KEY:
-        raise MocapError("not a C3D file", path=path, remedy="export the file again")
-    try:
-        import ezc3d
-    except ImportError as error:
-        raise MocapError(
-            "reading C3D needs the package ezc3d, which is not installed",
-            remedy='install it with: pip install "mocap[export]"',
-            path=path,
-        ) from error
-    try:
-        c3d = ezc3d.c3d(str(path))
-        point = c3d["parameters"]["POINT"]
-        xyz = np.asarray(c3d["data"]["points"], dtype=np.float64)[:3].transpose(2, 1, 0)
-        residual = np.asarray(c3d["data"]["meta_points"]["residuals"], dtype=np.float64)
-        first = int(c3d["header"]["points"]["first_frame"])
-    except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
-        raise MocapError(
-            f"the C3D file cannot be read: {error}", path=path, remedy="export the file again"
-        ) from error
+    point, xyz, residual, first = _content(path)
     labels: list[str] = []
     for key in ["LABELS", *(f"LABELS{i}" for i in range(2, 20))]:
         labels += list(point[key]["value"]) if key in point else []
@@ -65,21 +44,63 @@ def read_c3d(path: Path) -> PoseFile:
         lost = residual.reshape(residual.shape[-2], residual.shape[-1]).T[:, :K] < 0
         xyz = np.where(lost[:, :, None], np.nan, xyz)
     xyz, n_zero = without_zeros(xyz)
-    rate = float(np.ravel(point["RATE"]["value"])[0]) if "RATE" in point else 0.0
-    screen = str(np.ravel(point["Y_SCREEN"]["value"])[0]) if "Y_SCREEN" in point else "+Z"
-    units = str(np.ravel(point["UNITS"]["value"])[0]).strip().lower() if "UNITS" in point else ""
-    frames = first + np.arange(len(xyz), dtype=np.int64)
+    rate = float(_first(point, "RATE", 0.0))
     fps = rate if rate > 0 else None
-    time_s = np.asarray(frames / rate if rate > 0 else frames, dtype=np.float64)
+    screen = str(_first(point, "Y_SCREEN", "+Z")).strip().lower().removeprefix("+")
+    frames = first + np.arange(len(xyz), dtype=np.int64)
+    time_s = np.asarray(frames / rate if fps is not None else frames, dtype=np.float64)
     return PoseFile(
         path=path,
         format="C3D",
         people=(PoseTable(person_in_name(path), names, frames, time_s, xyz),),
         fps=fps,
-        unit=_UNITS.get(units),
-        up=screen.strip().lower().removeprefix("+") if screen.strip()[-1:].lower() in "xyz" else "z",
+        unit=_UNITS.get(str(_first(point, "UNITS", "")).strip().lower()),
+        up=screen if screen in _AXES else "z",
         notes=zero_note(n_zero),
     )
+
+
+def _content(path: Path) -> tuple[Any, Array, Array, int]:
+    """The group POINT, places (T, K, 3), residuals and the number of the first frame of a C3D file."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(2)
+    except OSError as error:
+        raise MocapError(
+            f"the file cannot be read: {error.strerror}", path=path, remedy="check the path"
+        ) from error
+    if len(head) < 2 or head[1] != _C3D_KEY:
+        raise MocapError("not a C3D file", path=path, remedy="export the file again")
+    ezc3d = _ezc3d("reading", path)
+    try:
+        c3d = ezc3d.c3d(str(path))
+        return (
+            c3d["parameters"]["POINT"],
+            np.asarray(c3d["data"]["points"], dtype=np.float64)[:3].transpose(2, 1, 0),
+            np.asarray(c3d["data"]["meta_points"]["residuals"], dtype=np.float64),
+            int(c3d["header"]["points"]["first_frame"]),
+        )
+    except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
+        raise MocapError(
+            f"the C3D file cannot be read: {error}", path=path, remedy="export the file again"
+        ) from error
+
+
+def _first(point: Any, key: str, default: Any) -> Any:
+    """The first value of a parameter of the group POINT; `default` where it is not there."""
+    return np.ravel(point[key]["value"])[0] if key in point else default
+
+
+def _ezc3d(what: str, path: Path) -> Any:
+    try:
+        import ezc3d
+    except ImportError as error:
+        raise MocapError(
+            f"{what} C3D needs the package ezc3d, which is not installed",
+            remedy='install it with: pip install "mocap[export]"',
+            path=path,
+        ) from error
+    return ezc3d
 
 
 def write_c3d(path: Path, motion: Motion, fps: float) -> None:
@@ -92,14 +113,7 @@ def write_c3d(path: Path, motion: Motion, fps: float) -> None:
     """
     check_fps(fps)
     path = Path(path)
-    try:
-        import ezc3d
-    except ImportError as error:
-        raise MocapError(
-            "writing C3D needs the package ezc3d, which is not installed",
-            remedy='install it with: pip install "mocap[export]"',
-            path=path,
-        ) from error
+    ezc3d = _ezc3d("writing", path)
     if len(motion) == 0:
         raise MocapError(
             f"person {motion.person} has no frames; a C3D file cannot be empty",

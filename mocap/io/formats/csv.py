@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -55,16 +56,28 @@ def _own(path: Path) -> PoseFile:
     return PoseFile(path, "landmarks.csv", people, _rate(people), "m", "z")
 
 
-def _wide(path: Path, header: list[str], rows: list[list[str]]) -> PoseFile:
-    columns: dict[str, dict[str, int]] = {}
+@dataclass(frozen=True)
+class _Columns:
+    """Where things stand in a wide table: place of frame, time and person (None = no such column), and point -> places
+    of x, y, z. unit : the one that all titles name, else None."""
+
+    frame_at: int | None
+    time_at: int | None
+    person_at: int | None
+    points: dict[str, tuple[int, int, int]]
+    unit: str | None
+
+
+def _columns(path: Path, header: list[str]) -> _Columns:
+    axes: dict[str, dict[str, int]] = {}
     units = set()
     for c, title in enumerate(header):
-        match = _COLUMN.match(title)
-        if match and title.lower() not in (*_FRAME, *_TIME, *_PERSON):
-            columns.setdefault(match["name"], {})[match["axis"].lower()] = c
-            if match["unit"]:
-                units.add(match["unit"])
-    points = {name: at for name, at in columns.items() if len(at) == 3}
+        match = None if title.lower() in (*_FRAME, *_TIME, *_PERSON) else _COLUMN.match(title)
+        if match:
+            axes.setdefault(match["name"], {})[match["axis"].lower()] = c
+            units.add(match["unit"])
+    units.discard(None)
+    points = {name: (at["x"], at["y"], at["z"]) for name, at in axes.items() if len(at) == 3}
     if not points:
         raise MocapError(
             "no point was found: no three columns are named alike but for x, y and z",
@@ -72,25 +85,31 @@ def _wide(path: Path, header: list[str], rows: list[list[str]]) -> PoseFile:
             remedy="name the columns like left_knee_x, left_knee_y, left_knee_z",
         )
     lower = [title.lower() for title in header]
-    frame_at, time_at, person_at = (
-        next((lower.index(w) for w in words if w in lower), None) for words in (_FRAME, _TIME, _PERSON)
-    )
-    order = np.array([[at[axis] for axis in "xyz"] for at in points.values()])
+    unit = units.pop() if len(units) == 1 else None
+    return _Columns(_place(lower, _FRAME), _place(lower, _TIME), _place(lower, _PERSON), points, unit)
+
+
+def _place(titles: list[str], words: tuple[str, ...]) -> int | None:
+    """Place of the first of the words that is a title; None when none is."""
+    return next((titles.index(w) for w in words if w in titles), None)
+
+
+def _wide(path: Path, header: list[str], rows: list[list[str]]) -> PoseFile:
+    columns = _columns(path, header)
     found: dict[int, dict[int, tuple[float, list[list[float]]]]] = {}
     for k, row in enumerate(rows):
-        line = k + 2
         if not any(cell.strip() for cell in row):
             continue
         if len(row) != len(header):
-            raise bad_line(path, line, f"{len(row)} fields, expected {len(header)}")
-        person = 0 if person_at is None else whole(path, line, row[person_at], "person")
-        frame = k if frame_at is None else whole(path, line, row[frame_at], "frame")
+            raise bad_line(path, k + 2, f"{len(row)} fields, expected {len(header)}")
+        person, frame, values = _wide_row(path, k, row, header, columns)
         there = found.setdefault(person, {})
         if frame in there:
-            raise bad_line(path, line, f"frame {frame} of person {person} is there twice")
-        time = float("nan") if time_at is None else number(path, line, row[time_at], header[time_at])
-        there[frame] = (time, [[number(path, line, row[c], header[c]) for c in at] for at in order])
-    notes = [] if frame_at is not None else ["the table has no column `frame`: rows are counted from 0"]
+            raise bad_line(path, k + 2, f"frame {frame} of person {person} is there twice")
+        there[frame] = values
+    notes = (
+        [] if columns.frame_at is not None else ["the table has no column `frame`: rows are counted from 0"]
+    )
     people, n_zero = [], 0
     for person in sorted(found):
         frames = np.array(sorted(found[person]), dtype=np.int64)
@@ -98,10 +117,23 @@ def _wide(path: Path, header: list[str], rows: list[list[str]]) -> PoseFile:
         xyz, zeros = without_zeros(xyz)
         n_zero += zeros
         time_s = np.array([found[person][f][0] for f in frames.tolist()])
-        people.append(PoseTable(person, tuple(points), frames, time_s, xyz))
-    unit = units.pop() if len(units) == 1 else None
-    return PoseFile(
-        path, "wide CSV", tuple(people), _rate(tuple(people)), unit, "z", (*notes, *zero_note(n_zero))
+        people.append(PoseTable(person, tuple(columns.points), frames, time_s, xyz))
+    notes += zero_note(n_zero)
+    return PoseFile(path, "wide CSV", tuple(people), _rate(tuple(people)), columns.unit, "z", tuple(notes))
+
+
+def _wide_row(
+    path: Path, k: int, row: list[str], header: list[str], at: _Columns
+) -> tuple[int, int, tuple[float, list[list[float]]]]:
+    """Person, frame, and (time, places) of the k-th row below the header."""
+    line = k + 2
+    person = 0 if at.person_at is None else whole(path, line, row[at.person_at], "person")
+    frame = k if at.frame_at is None else whole(path, line, row[at.frame_at], "frame")
+    time = float("nan") if at.time_at is None else number(path, line, row[at.time_at], header[at.time_at])
+    return (
+        person,
+        frame,
+        (time, [[number(path, line, row[c], header[c]) for c in xyz] for xyz in at.points.values()]),
     )
 
 

@@ -35,43 +35,7 @@ def write_glb(path: Path, skeleton: Skeleton, fps: float) -> None:
     P = Y_UP_FROM_WORLD
     quaternions = _quaternions(P @ rotations @ P.T)
     root = root @ P.T
-    offsets = skeleton.offsets @ P.T
-
     binary = _Binary()
-    vertices, normals = _octahedron()
-    mesh = {
-        "name": "bone",
-        "primitives": [
-            {
-                "attributes": {
-                    "POSITION": binary.add(vertices, "VEC3", target=_ARRAY_BUFFER, bounds=True),
-                    "NORMAL": binary.add(normals, "VEC3", target=_ARRAY_BUFFER),
-                },
-                "material": 0,
-                "mode": 4,
-            }
-        ],
-    }
-    nodes: list[dict[str, Any]] = []
-    for j, name in enumerate(skeleton.names):
-        node: dict[str, Any] = {"name": name, "translation": _floats(offsets[j]), "children": []}
-        if len(quaternions):
-            node["rotation"] = _floats(quaternions[0, j])
-        nodes.append(node)
-    nodes[order[0]]["translation"] = _floats(root[0]) if len(root) else [0.0, 0.0, 0.0]
-    for j in order[1:]:
-        nodes[int(skeleton.parents[j])]["children"].append(j)
-    bones = [(int(skeleton.parents[j]), offsets[j], skeleton.names[j]) for j in order[1:]]
-    bones += [(j, P @ tip, f"{skeleton.names[j]}_end") for j, tip in sorted(skeleton.end_offsets.items())]
-    for parent, vector, name in bones:
-        length = float(np.linalg.norm(vector))
-        if length > 1e-6:
-            nodes[parent]["children"].append(len(nodes))
-            nodes.append(_bone_node(f"bone_{name}", vector, length))
-    for node in nodes:
-        if not node.get("children", True):
-            del node["children"]
-
     document: dict[str, Any] = {
         "asset": {
             "version": "2.0",
@@ -80,8 +44,8 @@ def write_glb(path: Path, skeleton: Skeleton, fps: float) -> None:
         },
         "scene": 0,
         "scenes": [{"nodes": [order[0]]}],
-        "nodes": nodes,
-        "meshes": [mesh],
+        "nodes": _nodes(skeleton, order, quaternions, root),
+        "meshes": [_bone_mesh(binary)],
         "materials": [
             {
                 "name": "bone",
@@ -97,22 +61,75 @@ def write_glb(path: Path, skeleton: Skeleton, fps: float) -> None:
         time = binary.add(np.arange(len(root))[:, None] / fps, "SCALAR", bounds=True)
         outputs = [(order[0], "translation", binary.add(root, "VEC3"))]
         outputs += [(j, "rotation", binary.add(quaternions[:, j], "VEC4")) for j in order]
-        document["animations"] = [
-            {
-                "name": f"person_{skeleton.person}",
-                "samplers": [
-                    {"input": time, "output": output, "interpolation": "LINEAR"} for _, _, output in outputs
-                ],
-                "channels": [
-                    {"sampler": i, "target": {"node": node, "path": target}}
-                    for i, (node, target, _) in enumerate(outputs)
-                ],
-            }
-        ]
+        document["animations"] = [_animation(f"person_{skeleton.person}", time, outputs)]
     document["accessors"] = binary.accessors
     document["bufferViews"] = binary.views
     document["buffers"] = [{"byteLength": len(binary.data)}]
-    write_bytes(path, _container(document, bytes(binary.data)))
+    write_bytes(path, glb_container(document, bytes(binary.data)))
+
+
+def _nodes(skeleton: Skeleton, order: list[int], quaternions: Array, root: Array) -> list[dict[str, Any]]:
+    """The joints of a skeleton as nodes in its own order, and behind them one node per bone.
+
+    order : joints depth first from the root.  quaternions : (T, J, 4).  root : (T, 3) m, Y up.
+    """
+    offsets = skeleton.offsets @ Y_UP_FROM_WORLD.T
+    nodes: list[dict[str, Any]] = []
+    for j, name in enumerate(skeleton.names):
+        node: dict[str, Any] = {"name": name, "translation": floats(offsets[j]), "children": []}
+        if len(quaternions):
+            node["rotation"] = floats(quaternions[0, j])
+        nodes.append(node)
+    nodes[order[0]]["translation"] = floats(root[0]) if len(root) else [0.0, 0.0, 0.0]
+    for j in order[1:]:
+        nodes[int(skeleton.parents[j])]["children"].append(j)
+    for parent, vector, name in _bones(skeleton, order):
+        length = float(np.linalg.norm(vector))
+        if length > 1e-6:
+            nodes[parent]["children"].append(len(nodes))
+            nodes.append(_bone_node(f"bone_{name}", vector, length))
+    # glTF knows no empty list of children.
+    return [{key: value for key, value in node.items() if value != []} for node in nodes]
+
+
+def _bones(skeleton: Skeleton, order: list[int]) -> list[tuple[int, Array, str]]:
+    """(joint that it hangs on, vector (3,) m with Y up, name) of every bone, the ends of limbs last."""
+    P = Y_UP_FROM_WORLD
+    offsets = skeleton.offsets @ P.T
+    bones = [(int(skeleton.parents[j]), offsets[j], skeleton.names[j]) for j in order[1:]]
+    ends = sorted(skeleton.end_offsets.items())
+    return bones + [(j, P @ tip, f"{skeleton.names[j]}_end") for j, tip in ends]
+
+
+def _bone_mesh(binary: _Binary) -> dict[str, Any]:
+    vertices, normals = _octahedron()
+    return {
+        "name": "bone",
+        "primitives": [
+            {
+                "attributes": {
+                    "POSITION": binary.add(vertices, "VEC3", target=_ARRAY_BUFFER, bounds=True),
+                    "NORMAL": binary.add(normals, "VEC3", target=_ARRAY_BUFFER),
+                },
+                "material": 0,
+                "mode": 4,
+            }
+        ],
+    }
+
+
+def _animation(name: str, time: int, outputs: list[tuple[int, str, int]]) -> dict[str, Any]:
+    """time : accessor of the keys.  outputs : node, what is animated, accessor of its values."""
+    return {
+        "name": name,
+        "samplers": [
+            {"input": time, "output": output, "interpolation": "LINEAR"} for _, _, output in outputs
+        ],
+        "channels": [
+            {"sampler": i, "target": {"node": node, "path": target}}
+            for i, (node, target, _) in enumerate(outputs)
+        ],
+    }
 
 
 class _Binary:
@@ -136,14 +153,14 @@ class _Binary:
             "type": kind,
         }
         if bounds:
-            accessor |= {"min": _floats(rows.min(axis=0)), "max": _floats(rows.max(axis=0))}
+            accessor |= {"min": floats(rows.min(axis=0)), "max": floats(rows.max(axis=0))}
         self.data += rows.tobytes()
         self.views.append(view)
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
 
-def _container(document: dict[str, Any], binary: bytes) -> bytes:
+def glb_container(document: dict[str, Any], binary: bytes) -> bytes:
     """The two chunks of a .glb, each padded to four bytes."""
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode("utf-8")
     text += b" " * (-len(text) % 4)
@@ -199,11 +216,11 @@ def _bone_node(name: str, vector: Array, length: float) -> dict[str, Any]:
     return {
         "name": name,
         "mesh": 0,
-        "rotation": _floats(quaternion),
-        "scale": _floats(np.array([width, length, width])),
+        "rotation": floats(quaternion),
+        "scale": floats(np.array([width, length, width])),
     }
 
 
-def _floats(values: Array) -> list[float]:
+def floats(values: Array) -> list[float]:
     # float32 first: bounds must equal the stored values exactly, and the text stays short.
     return [float(v) for v in np.asarray(values, dtype=np.float32)]

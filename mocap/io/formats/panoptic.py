@@ -40,6 +40,20 @@ def read_panoptic(path: Path) -> PoseFile:
     path = Path(path)
     folder = panoptic_folder(path) if path.is_dir() else None
     files = sorted(folder.glob("body3DScene_*.json")) if folder else [path]
+    kinds, found = _bodies_of(files)
+    if len(kinds) > 1:
+        raise _bad(path, f"files mix {' and '.join(sorted(kinds))}")
+    names = _SKELETONS[kinds.pop()] if kinds else _COCO19
+    people = []
+    for person in sorted(found):
+        frames = np.array(sorted(found[person]), dtype=np.int64)
+        xyz = np.stack([found[person][f] for f in frames.tolist()])
+        people.append(PoseTable(person, names, frames, frames / HD_FPS, xyz))
+    return PoseFile(path, "Panoptic JSON", tuple(people), HD_FPS, "cm", "-y")
+
+
+def _bodies_of(files: list[Path]) -> tuple[set[str], dict[int, dict[int, np.ndarray]]]:
+    """Kinds of skeletons that the files hold, and person -> frame -> joints (K, 3)."""
     found: dict[int, dict[int, np.ndarray]] = {}
     kinds = set()
     for file in files:
@@ -51,15 +65,7 @@ def read_panoptic(path: Path) -> PoseFile:
             if frame in found.setdefault(person, {}):
                 raise _bad(file, f"body {person} is there twice")
             found[person][frame] = joints
-    if len(kinds) > 1:
-        raise _bad(path, f"files mix {' and '.join(sorted(kinds))}")
-    names = _SKELETONS[kinds.pop()] if kinds else _COCO19
-    people = []
-    for person in sorted(found):
-        frames = np.array(sorted(found[person]), dtype=np.int64)
-        xyz = np.stack([found[person][f] for f in frames.tolist()])
-        people.append(PoseTable(person, names, frames, frames / HD_FPS, xyz))
-    return PoseFile(path, "Panoptic JSON", tuple(people), HD_FPS, "cm", "-y")
+    return kinds, found
 
 
 def _bodies(file: Path) -> list[Any]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS, Motion
 from mocap.io.formats._writing import Y_UP_FROM_WORLD, check_fps, gap_free, write_bytes
@@ -39,27 +41,8 @@ def read_trc(path: Path) -> PoseFile:
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     # Cells of a table with blanks can only be told apart by tabs.
     cells = _tabs if "\t" in lines[3] else str.split
-    names = tuple(c.strip() for c in cells(lines[3])[2:] if c.strip())
-    if not names:
-        raise bad_line(path, 4, "no marker is named")
-    doubled = sorted({n for n in names if names.count(n) > 1})
-    if doubled:
-        raise bad_line(path, 4, f"marker {doubled[0]!r} is named twice")
-    declared = header.get("NumMarkers", "")
-    if declared.isdecimal() and int(declared) != len(names):
-        raise bad_line(path, 4, f"{len(names)} markers are named, the header says {declared}")
-    width = 2 + 3 * len(names)
-    rows = []
-    for i, line in enumerate(lines[_HEADER_LINES:], start=_HEADER_LINES + 1):
-        fields = cells(line)
-        if not any(f.strip() for f in fields):
-            continue
-        if any(f.strip() for f in fields[width:]):
-            raise bad_line(path, i, f"{len(fields)} cells, expected at most {width}")
-        fields = fields[:width] + [""] * (width - len(fields))
-        rows.append([number(path, i, f, "a cell") for f in fields])
-        whole(path, i, fields[0], "the frame")
-    table = np.array(rows, dtype=np.float64).reshape(-1, width)
+    names = _marker_names(path, cells(lines[3])[2:], header.get("NumMarkers", ""))
+    table = _cells_as_numbers(path, lines, cells, 2 + 3 * len(names))
     frames = table[:, 0].astype(np.int64)
     if len(frames) > 1 and (np.diff(frames) <= 0).any():
         at = int(np.argmax(np.diff(frames) <= 0)) + 1
@@ -79,6 +62,35 @@ def read_trc(path: Path) -> PoseFile:
         up="y",
         notes=zero_note(n_zero),
     )
+
+
+def _marker_names(path: Path, cells: list[str], declared: str) -> tuple[str, ...]:
+    names = tuple(c.strip() for c in cells if c.strip())
+    if not names:
+        raise bad_line(path, 4, "no marker is named")
+    doubled = sorted({n for n in names if names.count(n) > 1})
+    if doubled:
+        raise bad_line(path, 4, f"marker {doubled[0]!r} is named twice")
+    if declared.isdecimal() and int(declared) != len(names):
+        raise bad_line(path, 4, f"{len(names)} markers are named, the header says {declared}")
+    return names
+
+
+def _cells_as_numbers(
+    path: Path, lines: list[str], cells: Callable[[str], list[str]], width: int
+) -> NDArray[np.float64]:
+    """The table below the header, (T, width): frame, time, then x, y, z of every marker."""
+    rows = []
+    for i, line in enumerate(lines[_HEADER_LINES:], start=_HEADER_LINES + 1):
+        fields = cells(line)
+        if not any(f.strip() for f in fields):
+            continue
+        if any(f.strip() for f in fields[width:]):
+            raise bad_line(path, i, f"{len(fields)} cells, expected at most {width}")
+        fields = fields[:width] + [""] * (width - len(fields))
+        rows.append([number(path, i, f, "a cell") for f in fields])
+        whole(path, i, fields[0], "the frame")
+    return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
 def _tabs(line: str) -> list[str]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.data import Hull
 from mocap.io.formats._writing import Y_UP_FROM_WORLD, replacing, write_bytes
-from mocap.io.formats.gltf import _container, _floats
+from mocap.io.formats.gltf import floats, glb_container
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.uint8]
@@ -125,7 +125,7 @@ def write_voxels_glb(path: Path, hull: Hull) -> None:
         "extras": {"units": "m", "up_axis": "y", "voxel_size_m": float(hull.grid.voxel_size_m)},
     }
     if n == 0:
-        write_bytes(path, _container({"asset": asset, "scene": 0, "scenes": [{}]}, b""))
+        write_bytes(path, glb_container({"asset": asset, "scene": 0, "scenes": [{}]}, b""))
         return
     positions = (corners.reshape(-1, 3) @ Y_UP_FROM_WORLD.T).astype("<f4")
     directions = (np.repeat(normals, 4, axis=0) @ Y_UP_FROM_WORLD.T).astype("<f4")
@@ -137,7 +137,7 @@ def write_voxels_glb(path: Path, hull: Hull) -> None:
     blocks = [positions, directions, colours, triangles]
     offsets = np.cumsum([0, *(b.nbytes for b in blocks)])
     targets = (_ARRAY_BUFFER, _ARRAY_BUFFER, _ARRAY_BUFFER, _ELEMENT_BUFFER)
-    bounds = {"min": _floats(positions.min(axis=0)), "max": _floats(positions.max(axis=0))}
+    bounds = {"min": floats(positions.min(axis=0)), "max": floats(positions.max(axis=0))}
     document: dict[str, Any] = {
         "asset": asset,
         "scene": 0,
@@ -166,7 +166,7 @@ def write_voxels_glb(path: Path, hull: Hull) -> None:
         ],
         "buffers": [{"byteLength": int(offsets[-1])}],
     }
-    write_bytes(path, _container(document, b"".join(b.tobytes() for b in blocks)))
+    write_bytes(path, glb_container(document, b"".join(b.tobytes() for b in blocks)))
 
 
 def _linear_from_srgb(values: Array) -> Array:

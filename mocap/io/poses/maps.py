@@ -181,14 +181,7 @@ def automatic(names: Sequence[str]) -> tuple[KnownSkeleton, dict[str, tuple[str,
     at = {plain(n): n for n in reversed(names)}
     best: tuple[KnownSkeleton, dict[str, tuple[str, ...]]] | None = None
     for skeleton in SKELETONS:
-        found = {}
-        for landmark, text in skeleton.sources().items():
-            for choice in text.split("|"):
-                parts = choice.split("+")
-                if all(part in at for part in parts):
-                    found[landmark] = tuple(at[part] for part in parts)
-                    break
-        found = {name: found[name] for name in LANDMARKS if name in found}
+        found = _found_in(skeleton, at)
         if len(found) < _MIN_LANDMARKS:
             continue
         if skeleton.needs and all(word in at for word in skeleton.needs):
@@ -196,6 +189,18 @@ def automatic(names: Sequence[str]) -> tuple[KnownSkeleton, dict[str, tuple[str,
         if not skeleton.needs and (best is None or len(found) > len(best[1])):
             best = (skeleton, found)
     return best
+
+
+def _found_in(skeleton: KnownSkeleton, at: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
+    """Landmark -> names of a file, in the order of LANDMARKS.  at : plain name -> name in the file."""
+    found = {}
+    for landmark, text in skeleton.sources().items():
+        for choice in text.split("|"):
+            parts = choice.split("+")
+            if all(part in at for part in parts):
+                found[landmark] = tuple(at[part] for part in parts)
+                break
+    return {name: found[name] for name in LANDMARKS if name in found}
 
 
 def read_map(path: Path | str) -> dict[str, SideMap]:
@@ -230,14 +235,17 @@ def _side(path: Path, side: str, table: Any) -> SideMap:
         raise _bad(path, f"{side} must be a table")
     if unknown := sorted(set(table) - {"landmarks", "unit", "up", "fps"}):
         raise _bad(path, f"{side}.{unknown[0]} is not known; known are landmarks, unit, up, fps")
-    unit, up, fps = table.get("unit"), table.get("up"), table.get("fps")
-    if unit is not None and unit not in UNITS:
-        raise _bad(path, f"{side}.unit is {unit!r}, expected one of {', '.join(UNITS)}")
-    if up is not None and up not in AXES:
-        raise _bad(path, f"{side}.up is {up!r}, expected one of {', '.join(AXES)}")
-    if fps is not None and (isinstance(fps, bool) or not isinstance(fps, int | float) or not fps > 0):
+    fps = table.get("fps", 1.0)
+    for key, words in (("unit", UNITS), ("up", AXES)):
+        if table.get(key) is not None and table[key] not in words:
+            raise _bad(path, f"{side}.{key} is {table[key]!r}, expected one of {', '.join(words)}")
+    if isinstance(fps, bool) or not isinstance(fps, int | float) or not fps > 0:
         raise _bad(path, f"{side}.fps is {fps!r}, expected a positive number")
-    landmarks = table.get("landmarks", {})
+    named = _named_landmarks(path, side, table.get("landmarks", {}))
+    return SideMap(named, table.get("unit"), table.get("up"), float(fps) if "fps" in table else None)
+
+
+def _named_landmarks(path: Path, side: str, landmarks: Any) -> dict[str, tuple[str, ...]]:
     if not isinstance(landmarks, dict):
         raise _bad(path, f"{side}.landmarks must be a table")
     named = {}
@@ -250,7 +258,7 @@ def _side(path: Path, side: str, table: Any) -> SideMap:
         if not isinstance(listed, list) or not listed or not all(isinstance(n, str) for n in listed):
             raise _bad(path, f"{side}.landmarks.{landmark} must be a name or a list of names")
         named[landmark] = tuple(listed)
-    return SideMap(named, unit, up, None if fps is None else float(fps))
+    return named
 
 
 def _bad(path: Path, message: str) -> MocapError:

@@ -63,27 +63,13 @@ def read_motions(poses: PoseFile, side: SideMap | None = None) -> Reading:
     Raises MocapError when no skeleton is recognised, a named point is not in the file, or a person is there twice.
     """
     side = SideMap() if side is None else side
-    names = poses.people[0].names if poses.people else LANDMARKS
-    notes = list(poses.notes)
-    if side.landmarks:
-        sources, skeleton = _named(poses, side), "as the map says"
-    else:
-        found = automatic(names)
-        if found is None:
-            raise MocapError(
-                f"the names of the points are of no known skeleton: {_some(names)}",
-                path=poses.path,
-                remedy=f"say which are our landmarks with --map FILE; known are {', '.join(skeletons_known())}",
-            )
-        skeleton, sources = found[0].name, found[1]
-        if found[0].note:
-            notes.append(f"{skeleton}: {found[0].note}")
+    sources, skeleton, notes = _sources(poses, side)
     up = side.up or poses.up
     R = np.array(_WORLD_FROM[up], dtype=np.float64)
     fps = side.fps or poses.fps
-    motions = tuple(_motion(table, sources, R, side.fps, fps) for table in poses.people if len(table.frames))
+    people = filter(lambda table: len(table.frames), poses.people)
     return Reading(
-        motions=motions,
+        motions=tuple(_motion(table, sources, R, side.fps, fps) for table in people),
         format=poses.format,
         fps=fps,
         unit=side.unit or poses.unit,
@@ -91,8 +77,24 @@ def read_motions(poses: PoseFile, side: SideMap | None = None) -> Reading:
         up=up,
         skeleton=skeleton,
         landmarks=tuple(n for n in LANDMARKS if n in sources),
-        notes=tuple(notes),
+        notes=(*poses.notes, *notes),
     )
+
+
+def _sources(poses: PoseFile, side: SideMap) -> tuple[dict[str, tuple[str, ...]], str, list[str]]:
+    """Landmark -> names of points, how the skeleton is called, and what is to be known of it."""
+    if side.landmarks:
+        return _named(poses, side), "as the map says", []
+    names = poses.people[0].names if poses.people else LANDMARKS
+    found = automatic(names)
+    if found is None:
+        raise MocapError(
+            f"the names of the points are of no known skeleton: {_some(names)}",
+            path=poses.path,
+            remedy=f"say which are our landmarks with --map FILE; known are {', '.join(skeletons_known())}",
+        )
+    skeleton, sources = found
+    return sources, skeleton.name, [f"{skeleton.name}: {skeleton.note}"] if skeleton.note else []
 
 
 def _named(poses: PoseFile, side: SideMap) -> dict[str, tuple[str, ...]]:
@@ -116,27 +118,39 @@ def _motion(
     table: PoseTable,
     sources: dict[str, tuple[str, ...]],
     R: Array,
-    told_fps: float | None,
+    fps_of_user: float | None,
     fps: float | None,
 ) -> Motion:
     T = len(table.frames)
     landmarks = np.full((T, len(LANDMARKS), 3), np.nan)
-    std = None if table.std is None else np.full((T, len(LANDMARKS), 3), np.nan)
     xyz = np.where(np.isfinite(table.xyz), table.xyz, np.nan)
-    observed = None if table.observed is None else np.zeros((T, len(LANDMARKS)), dtype=np.bool_)
-    for landmark, names in sources.items():
-        columns = [table.names.index(n) for n in names]
-        m = LANDMARKS.index(landmark)
+    columns_of = {LANDMARKS.index(k): [table.names.index(n) for n in names] for k, names in sources.items()}
+    for m, columns in columns_of.items():
         # A mean of what is left would jump when one of the points is lost: NaN carries through.
         landmarks[:, m] = xyz[:, columns].mean(axis=1) @ R.T
-        if std is not None and table.std is not None and len(columns) == 1:
-            std[:, m] = table.std[:, columns[0]] @ np.abs(R).T
-        if observed is not None and table.observed is not None:
-            observed[:, m] = table.observed[:, columns].all(axis=1)
+    std = None if table.std is None else _std_of(table.std, columns_of, R)
+    observed = None if table.observed is None else _all_observed(table.observed, columns_of)
     time_s = table.time_s
-    if told_fps is not None or not np.isfinite(time_s).all():
+    if fps_of_user is not None or not np.isfinite(time_s).all():
         time_s = table.frames / fps if fps else np.full(T, np.nan)
     return Motion(table.person, table.frames, time_s, landmarks, std, observed)
+
+
+def _std_of(std: Array, columns_of: dict[int, list[int]], R: Array) -> Array:
+    """Deviations (T, 15, 3) of the landmarks that are one point; those of a mean are not known: NaN."""
+    out = np.full((len(std), len(LANDMARKS), 3), np.nan)
+    for m, columns in columns_of.items():
+        if len(columns) == 1:
+            out[:, m] = std[:, columns[0]] @ np.abs(R).T
+    return out
+
+
+def _all_observed(observed: NDArray[np.bool_], columns_of: dict[int, list[int]]) -> NDArray[np.bool_]:
+    """Whether all points of a landmark were seen, (T, 15)."""
+    out = np.zeros((len(observed), len(LANDMARKS)), dtype=np.bool_)
+    for m, columns in columns_of.items():
+        out[:, m] = observed[:, columns].all(axis=1)
+    return out
 
 
 def _some(names: tuple[str, ...]) -> str:

@@ -20,28 +20,37 @@ def read_bvh(path: Path | str) -> Recording:
     path = Path(path)
     motion = read_bvh_motion(path)
     joints = [j for j in motion.joints if not j.is_end]
-    n_frames = len(motion.table)
-    if n_frames == 0:
+    if len(motion.table) == 0:
         raise MocapError("0 frames are no motion", path=path, remedy="export the motion as BVH again")
-    # Parents by their place among the joints that are kept.
-    row = {id(j): i for i, j in enumerate(joints)}
-    parents = np.array([-1 if j.parent < 0 else row[id(motion.joints[j.parent])] for j in joints])
     offsets = np.array([j.offset for j in joints])
-    rotations = np.stack([_turns(path, j, motion.table) for j in joints], axis=1)
-    root = np.zeros((n_frames, 3))
-    places = [(k, c) for k, c in enumerate(joints[0].channels) if c.endswith("position")]
-    for k, channel in places:
-        root[:, "XYZ".index(channel[0])] = motion.table[:, joints[0].first_channel + k]
-    if places:
+    root, is_placed = _root_places(joints[0], motion.table)
+    if is_placed:
         offsets[0] = 0.0  # the channels hold the place itself
     return Recording(
         tuple(j.name for j in joints),
-        parents.astype(np.int64),
+        _parents(motion.joints),
         offsets,
-        rotations,
+        np.stack([_turns(path, j, motion.table) for j in joints], axis=1),
         root,
         1.0 / motion.frame_s,
     )
+
+
+def _parents(joints: tuple[BvhJoint, ...]) -> np.ndarray:
+    """Parents of the joints that are no end sites, -1 for the root."""
+    # Places among the joints that are kept; the parent of the root stays -1.
+    place = np.cumsum([not j.is_end for j in joints]) - 1
+    kept = [j for j in joints if not j.is_end]
+    return np.array([place[j.parent] if j.parent >= 0 else -1 for j in kept], dtype=np.int64)
+
+
+def _root_places(root: BvhJoint, table: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Places (T, 3) of the root by its channels, zero where it has none, and whether it has any."""
+    places = [(k, c) for k, c in enumerate(root.channels) if c.endswith("position")]
+    xyz = np.zeros((len(table), 3))
+    for k, channel in places:
+        xyz[:, "XYZ".index(channel[0])] = table[:, root.first_channel + k]
+    return xyz, bool(places)
 
 
 def _turns(path: Path, joint: BvhJoint, table: np.ndarray) -> np.ndarray:
