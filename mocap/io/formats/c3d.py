@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS, Motion
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra, MocapError
 from mocap.io.formats._writing import check_fps, gap_free, replacing
 from mocap.io.formats.table import PoseFile, PoseTable, person_in_name, without_zeros, zero_note
 
@@ -95,10 +95,8 @@ def _ezc3d(what: str, path: Path) -> Any:
     try:
         import ezc3d
     except ImportError as error:
-        raise MocapError(
-            f"{what} C3D needs the package ezc3d, which is not installed",
-            remedy='install it with: pip install "mocap[export]"',
-            path=path,
+        raise MissingExtra(
+            f"{what} C3D needs the package ezc3d, which is not installed", "export", path=path
         ) from error
     return ezc3d
 
