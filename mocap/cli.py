@@ -459,7 +459,8 @@ def evaluate(
     ] = 0.2,
 ) -> None:
     """Score a run, or poses of another tool, against a truth."""
-    from mocap.io.poses import AXES, UNITS, SideMap
+    from mocap.io.poses import SideMap
+    from mocap.io.units import AXES, UNITS
     from mocap.pipeline.comparison import CompareOptions, compare, write_page
 
     for option, value, known in (

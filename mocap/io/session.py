@@ -12,13 +12,8 @@ from typing import Any, Literal
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
-from mocap.io.calibration import (
-    METRES_PER_UNIT,
-    CalibrationFile,
-    find_calibration,
-    read_calibration,
-    unit_from_word,
-)
+from mocap.io.calibration import CalibrationFile, find_calibration, read_calibration
+from mocap.io.units import AXES, METRES_PER_UNIT, unit_from_word
 from mocap.io.video import ClipInfo, clip_info, size_error
 
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -635,7 +630,7 @@ def _units(path: Path, document: dict[str, Any]) -> str | None:
 
 def _up(path: Path, document: dict[str, Any]) -> str | None:
     value = document.get("calibration_up")
-    if value is not None and value not in {"x", "-x", "y", "-y", "z", "-z"}:
+    if value is not None and value not in AXES:
         raise _bad_key(path, "calibration_up", f'is {value!r}, expected "z", "-y", ...')
     return value
 

@@ -15,10 +15,11 @@ from mocap.data import LANDMARKS, Motion, Skeleton
 from mocap.errors import MocapError
 from mocap.io.actions import read_actions_csv
 from mocap.io.formats import read_poses, write_bvh, write_c3d, write_trc
-from mocap.io.poses import AXES, SideMap, read_map, read_motions, skeletons_known
+from mocap.io.poses import SideMap, read_map, read_motions, skeletons_known
 from mocap.io.poses.maps import SKELETONS, automatic
 from mocap.io.poses.motions import _WORLD_FROM
 from mocap.io.tables import write_landmarks_csv
+from mocap.io.units import AXES
 from mocap.metrics import length_unit
 
 AT = LANDMARKS.index

@@ -15,10 +15,10 @@ from mocap.data import LANDMARKS, Motion
 from mocap.errors import MissingExtra, MocapError
 from mocap.io.formats._writing import check_fps, gap_free, replacing
 from mocap.io.formats.table import PoseFile, PoseTable, person_in_name, without_zeros, zero_note
+from mocap.io.units import AXES
 
 Array = NDArray[np.float64]
 
-_AXES = ("x", "-x", "y", "-y", "z", "-z")
 _UNITS = {"m": "m", "cm": "cm", "mm": "mm"}
 _C3D_KEY = 0x50  # second byte of every C3D file
 _BLOCK_BYTES = 512  # C3D files are made of blocks
@@ -55,7 +55,7 @@ def read_c3d(path: Path) -> PoseFile:
         people=(PoseTable(person_in_name(path), names, frames, time_s, xyz),),
         fps=fps,
         unit=_UNITS.get(str(_first(point, "UNITS", "")).strip().lower()),
-        up=screen if screen in _AXES else "z",
+        up=screen if screen in AXES else "z",
         notes=zero_note(n_zero),
     )
 

@@ -16,9 +16,8 @@ from typing import Any
 
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
+from mocap.io.units import AXES, UNITS
 
-UNITS = ("m", "cm", "mm")
-AXES = ("x", "-x", "y", "-y", "z", "-z")
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from mocap.data import LANDMARKS, Motion
 from mocap.errors import MocapError
 from mocap.io.formats.table import PoseFile, PoseTable
-from mocap.io.poses.maps import AXES, SideMap, automatic, plain, skeletons_known
+from mocap.io.poses.maps import SideMap, automatic, plain, skeletons_known
+from mocap.io.units import METRES_PER_UNIT
 
 Array = NDArray[np.float64]
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 # Up axis of a file -> rows of the rotation to our z-up world. y up is the inverse of what our writers do.
 _WORLD_FROM = {
     "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -24,7 +24,6 @@ _WORLD_FROM = {
     "x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
     "-x": [[0, 1, 0], [0, 0, -1], [-1, 0, 0]],
 }
-__all__ = ["AXES", "METRES", "Reading", "read_motions"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class Reading:
 
     def in_metres(self, unit: str) -> Reading:
         """The same with lengths in metres, understood as `unit`."""
-        factor = METRES[unit]
+        factor = METRES_PER_UNIT[unit]
         if factor == 1.0:
             return replace(self, unit=unit)
         motions = tuple(
