@@ -3,6 +3,7 @@
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.hierarchy import Hierarchy, Level, Limb
 from mocap.data.motion import BONES, LANDMARKS, Motion, Tracks
+from mocap.data.occluders import Occluders, n_judges
 from mocap.data.problem import ArticulatedProblem, ResidualProblem, StateLayout
 from mocap.data.skeleton import Skeleton
 from mocap.data.voxels import Hull, VoxelGrid
@@ -18,9 +19,11 @@ __all__ = [
     "Level",
     "Limb",
     "Motion",
+    "Occluders",
     "ResidualProblem",
     "Skeleton",
     "StateLayout",
     "Tracks",
     "VoxelGrid",
+    "n_judges",
 ]

@@ -7,6 +7,7 @@ from mocap.volume.colour import colour_hull, visible_views
 from mocap.volume.components import connected_components
 from mocap.volume.consistency import ConsistencyMonitor, SilhouetteEvidence
 from mocap.volume.grid import choose_grid
+from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_cells
 from mocap.volume.residuals import SilhouetteResiduals, silhouette_residuals
 from mocap.volume.surface import surface_map, surface_voxels
 
@@ -15,6 +16,7 @@ __all__ = [
     "Carver",
     "CoarseVoxels",
     "ConsistencyMonitor",
+    "OccluderLearner",
     "SilhouetteEvidence",
     "SilhouetteResiduals",
     "VoteVolume",
@@ -25,6 +27,8 @@ __all__ = [
     "connected_components",
     "default_min_views",
     "find_camera_faults",
+    "learn_occluders",
+    "masks_by_cells",
     "silhouette_residuals",
     "surface_map",
     "surface_voxels",

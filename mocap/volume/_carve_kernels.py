@@ -18,6 +18,7 @@ TIE_PX = 1e-7  # values this close below a rounding tie count as the tie; see ca
 MIN_DEPTH_M = 1e-6
 MARGIN_PX = 0.01  # by which enclosing boxes are widened against rounding errors
 N_PARAMETERS = 26
+HIDDEN = -2  # the pixel of a voxel that lies in the picture, but behind an occluder
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -206,11 +207,12 @@ def block_centers(block, counts, shape, origin, side, xs, ys, zs, is_real):
 
 
 @njit(cache=True, nogil=True)
-def enter_pixels(pixels, is_real, camera, width, table, n_seen, box4, all4, some4):
+def enter_pixels(pixels, is_real, camera, width, table, n_seen, n_hidden, box4, all4, some4):
     """Enter one camera's pixels of the 4096 voxels of a block of 16 into its tables.
 
-    table : (64, C, 64) int32, -1 where not seen.  n_seen : (64, 64) uint8, added to.  box4 : (64, C, 4) int16.
-    all4, some4 : (64,) int64 bit sets, added to.
+    pixels : (4096,) int32, -1 outside the picture, HIDDEN behind an occluder.  table : (64, C, 64) int32, -1 where not
+    seen.  n_seen, n_hidden : (64, 64) uint8, added to.  box4 : (64, C, 4) int16.  all4, some4 : (64,) int64 bit sets,
+    added to.
     """
     bit = np.int64(1) << camera
     for b in range(64):
@@ -223,6 +225,9 @@ def enter_pixels(pixels, is_real, camera, width, table, n_seen, box4, all4, some
                 pixel = -1
             else:
                 n_real += 1
+            if pixel == HIDDEN:
+                n_hidden[b, j] += 1
+                pixel = -1
             table[b, camera, j] = pixel
             if pixel >= 0:
                 n_inside += 1
@@ -261,12 +266,12 @@ def merge_blocks(box, sees_all, sees_some, high, children, box_out):
 
 
 @njit(cache=True, nogil=True)
-def sum_up_block(n_seen, box4, all4, some4, high4, box8, all8, some8, high8, box16):
+def sum_up_block(n_seen, n_hidden, box4, all4, some4, high4, box8, all8, some8, high8, box16):
     """Levels 8 and 16 of one block of 16 from its blocks of 4: (sees_all, sees_some, high) of the whole."""
     for b in range(64):
         most = 0
         for j in range(64):
-            most = max(most, n_seen[b, j])
+            most = max(most, n_seen[b, j] + n_hidden[b, j])
         high4[b] = most
     children = np.empty(8, dtype=np.int64)
     for k in range(8):
@@ -338,13 +343,11 @@ def judge(box, integral, start, rect, active, sees_all, sees_some, strict, toler
 @njit(cache=True, nogil=True)
 def survey(
     box64, all64, some64, high64, counts64, box16, all16, some16, high16, counts16,
-    integral, start, rect, strict, tolerance, min_views, out,
+    integral, start, rect, strict, tolerance, min_views, min_votes, out,
 ):  # fmt: skip
     """Blocks of 16 that cannot be dropped by their pixel boxes, into out; returns their number."""
     n = 0
     everyone = (np.int64(1) << box16.shape[1]) - 1
-    # A voxel that min_views cameras see has at least this many votes when at most `tolerance` are missing.
-    min_votes = min_views - tolerance
     for b64 in range(box64.shape[0]):
         if high64[b64] < min_views:
             continue
@@ -376,14 +379,15 @@ def survey(
 @njit(cache=True, nogil=True)
 def carve_blocks(
     blocks, slot, box16, all16, some16, high16, counts16, grid_shape,
-    box8, all8, some8, high8, box4, all4, some4, high4, table, n_seen,
-    masks, mask_start, integral, start, rect, strict, tolerance, min_views, out,
+    box8, all8, some8, high8, box4, all4, some4, high4, table, n_seen, n_hidden,
+    masks, mask_start, integral, start, rect, strict, tolerance, min_views, min_votes, counts_votes, out,
 ):  # fmt: skip
     """Occupied voxels of blocks of 16 by blocks of 8 and 4; linear indices into out, returns their number.
 
     slot : where the tables of each block of 16 lie.  A block is dropped when more than `tolerance` cameras that
     see all of it find no foreground in its pixel box, kept when at most `tolerance` cameras could still vote
-    background, else opened with the undecided cameras.
+    background, else opened with the undecided cameras. With counts_votes all of these are asked, because a voxel
+    needs min_votes; without, min_votes must follow from min_views and tolerance.
     """
     ny, nz = grid_shape[1], grid_shape[2]
     n_cameras = box16.shape[1]
@@ -395,7 +399,7 @@ def carve_blocks(
             continue
         d16, open16, m16 = judge(
             box16[b16], integral, start, rect, everyone, all16[b16], some16[b16],
-            strict, tolerance, 0, min_views - tolerance,
+            strict, tolerance, 0, min_votes,
         )  # fmt: skip
         if d16 == DROP:
             continue
@@ -436,7 +440,7 @@ def carve_blocks(
                 if d4 == DROP:
                     continue
                 sums[:] = m4
-                if d4 == DESCEND:
+                if d4 == DESCEND or counts_votes:
                     for c in range(n_cameras):
                         if (open4 >> c) & 1:
                             first = mask_start[c]
@@ -446,9 +450,55 @@ def carve_blocks(
                                 sums[j] += np.uint8(1) - masks[np.uint64(first + np.int64(row[j]))]
                 corner = ((x16 * 16 + x4 * 4) * ny + y16 * 16 + y4 * 4) * nz + z16 * 16 + z4 * 4
                 for j in range(64):
-                    if sums[j] <= tolerance and n_seen[t, b, j] >= min_views:
+                    if (
+                        sums[j] <= tolerance
+                        and n_seen[t, b, j] + n_hidden[t, b, j] >= min_views
+                        and n_seen[t, b, j] - sums[j] >= min_votes
+                    ):
                         out[n] = corner + ((j >> 4) * ny + ((j >> 2) & 3)) * nz + (j & 3)
                         n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def unknown_voxels(
+    blocks, slot, counts16, grid_shape, table, n_seen, n_hidden, masks, mask_start,
+    tolerance, min_views, min_votes, lower, upper, out,
+):  # fmt: skip
+    """Voxels of blocks of 16 that nobody speaks against and too few can judge; their number.
+
+    They lie in the picture of min_views cameras, at most `tolerance` vote background, fewer than min_votes foreground,
+    and at least one lies behind an occluder.  lower, upper : (3,) subscripts of the box that is asked for, upper
+    exclusive.  out : linear indices.
+    """
+    ny, nz = grid_shape[1], grid_shape[2]
+    n_cameras = table.shape[2]
+    n = 0
+    for b16 in blocks:
+        t = slot[b16]
+        z16 = b16 % counts16[2]
+        y16 = (b16 // counts16[2]) % counts16[1]
+        x16 = b16 // (counts16[2] * counts16[1])
+        for b in range(64):
+            for j in range(64):
+                seen, hidden = np.int64(n_seen[t, b, j]), np.int64(n_hidden[t, b, j])
+                if hidden == 0 or seen + hidden < min_views:
+                    continue
+                x = x16 * 16 + (b >> 4) * 4 + (j >> 4)
+                y = y16 * 16 + ((b >> 2) & 3) * 4 + ((j >> 2) & 3)
+                z = z16 * 16 + (b & 3) * 4 + (j & 3)
+                if x < lower[0] or y < lower[1] or z < lower[2]:
+                    continue
+                if x >= upper[0] or y >= upper[1] or z >= upper[2]:
+                    continue
+                votes = 0
+                for c in range(n_cameras):
+                    pixel = np.int64(table[t, b, c, j])
+                    if pixel >= 0:
+                        votes += masks[np.uint64(mask_start[c] + pixel)]
+                if votes < min_votes and seen - votes <= tolerance:
+                    out[n] = (x * ny + y) * nz + z
+                    n += 1
     return n
 
 

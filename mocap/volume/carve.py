@@ -6,6 +6,9 @@ vote background. What a camera does that does not have the voxel in its picture 
 abstain     it has no vote (the default: a head that leaves one picture is kept by the others);
 background  it votes background, so that a voxel outside a picture needs tolerance, as outside a room's edge.
 
+A camera that has the voxel in its picture, but behind an occluder, has no vote either. Then at least `min_votes`
+cameras must vote foreground; where nobody speaks against a voxel and fewer do, it is unknown.
+
 The soft volume counts foreground votes instead of deciding.
 """
 
@@ -21,9 +24,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import Camera, CameraRig, VoxelGrid
+from mocap.data import Camera, CameraRig, Occluders, VoxelGrid
 from mocap.geometry.projection import max_normalised_radius
-from mocap.volume import _carve_kernels
+from mocap.volume import _carve_kernels, _occluder_kernels
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -33,6 +36,7 @@ Outside = Literal["abstain", "background"]
 MAX_TABLE_MB = 700
 MAX_CAMERAS = 62  # camera sets are bits of a signed 64-bit number
 _MIN_VIEWS = 4
+MIN_VOTES = 3  # cones of two cameras cross in many places
 
 
 def default_min_views(n_cameras: int) -> int:
@@ -113,6 +117,42 @@ def _kind(value: object) -> str:
     return f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
 
 
+@dataclass(frozen=True)
+class _Rules:
+    """When a voxel is occupied, with the defaults filled in.
+
+    counts_votes : whether min_votes has to be looked at; else it follows from the other numbers.
+    """
+
+    n_faulty_views: int
+    min_views: int
+    min_votes: int
+    is_strict: bool
+    counts_votes: bool
+
+
+def _rules(
+    n_cameras: int,
+    n_faulty_views: int,
+    min_views: int | None,
+    min_votes: int | None,
+    outside: str,
+    occluders: Occluders | None,
+) -> _Rules:
+    """The rules of one carving, checked."""
+    needed = _check_votes(n_cameras, n_faulty_views, min_views, outside)
+    is_strict = outside == "background"
+    if occluders is not None and is_strict:
+        raise ValueError("outside: background excludes occluders, behind which cameras abstain")
+    votes = needed - n_faulty_views
+    if min_votes is not None:
+        _check_min_votes(n_cameras, min_votes)
+        votes = min_votes
+    elif occluders is not None:
+        votes = min(MIN_VOTES, votes)
+    return _Rules(n_faulty_views, needed, votes, is_strict, min_votes is not None or occluders is not None)
+
+
 def _check_votes(n_cameras: int, n_faulty_views: int, min_views: int | None, outside: str) -> int:
     if not 0 <= n_faulty_views < n_cameras:
         raise ValueError(
@@ -132,21 +172,25 @@ def _check_min_votes(n_cameras: int, min_votes: int) -> None:
 
 
 def _votes_of_planes(
-    rig: CameraRig, grid: VoxelGrid, masks: Sequence[Mask]
-) -> Iterator[tuple[Voxels, NDArray[np.int64], NDArray[np.int64]]]:
-    """Per plane of constant x: voxels, cameras that see each, and cameras that see it as foreground."""
+    rig: CameraRig, grid: VoxelGrid, masks: Sequence[Mask], occluders: Occluders | None = None
+) -> Iterator[tuple[Voxels, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
+    """Per plane of constant x: voxels, cameras that have each in the picture, that can judge it, and that see it as
+    foreground.
+    """
     per_plane = grid.shape[1] * grid.shape[2]
     for ix in range(grid.shape[0]):
         voxels = np.arange(ix * per_plane, (ix + 1) * per_plane, dtype=np.int32)
         centers = grid.centers(voxels)
-        n_seen = np.zeros(per_plane, dtype=np.int64)
-        n_foreground = np.zeros(per_plane, dtype=np.int64)
+        n_inside, n_seen, n_foreground = np.zeros((3, per_plane), dtype=np.int64)
         for camera, mask in zip(rig, masks, strict=True):
             pixels = nearest_pixel(camera.project(centers)[0], camera.size)
+            n_inside += pixels >= 0
             seen = pixels >= 0
+            if occluders is not None:
+                seen &= ~occluders.hides(camera, centers)
             n_seen += seen
             n_foreground += seen & mask.ravel()[np.maximum(pixels, 0)]
-        yield voxels, n_seen, n_foreground
+        yield voxels, n_inside, n_seen, n_foreground
 
 
 def carve_bruteforce(
@@ -156,23 +200,51 @@ def carve_bruteforce(
     *,
     n_faulty_views: int,
     min_views: int | None = None,
+    min_votes: int | None = None,
     outside: Outside = "abstain",
+    occluders: Occluders | None = None,
 ) -> Voxels:
     """Occupied voxels by projecting every voxel centre into every mask: the definition, slow.
 
     masks : one (H, W) bool per camera, in rig order.  n_faulty_views : cameras that may vote background.
-    min_views : cameras that must see the voxel; default_min_views if None.  outside : "abstain" = a camera
-    that does not see the voxel has no vote, "background" = it votes background.
+    min_views : cameras that must have the voxel in their picture; default_min_views if None.  min_votes : cameras that
+    must vote foreground; if None, what the other two numbers ask for, but never more than MIN_VOTES with occluders.
+    outside : "abstain" = a camera that does not see the voxel has no vote, "background" = it votes background.
+    occluders : behind them a camera has no vote.
     Returns (N,) int32 linear indices, ascending; empty masks give N = 0.
     Raises ValueError or TypeError for masks that do not fit the rig or numbers out of range.
     Source: CF 2.2.4 (shape from silhouette, with tolerance to faulty segmentations).
     """
     check_masks(rig, masks)
-    needed = _check_votes(len(rig), n_faulty_views, min_views, outside)
+    rules = _rules(len(rig), n_faulty_views, min_views, min_votes, outside, occluders)
     found = []
-    for voxels, n_seen, n_foreground in _votes_of_planes(rig, grid, masks):
-        n_voters = n_seen if outside == "abstain" else len(rig)
-        found.append(voxels[(n_seen >= needed) & (n_voters - n_foreground <= n_faulty_views)])
+    for voxels, n_inside, n_seen, n_foreground in _votes_of_planes(rig, grid, masks, occluders):
+        n_voters = len(rig) if rules.is_strict else n_seen
+        is_in = (n_inside >= rules.min_views) & (n_voters - n_foreground <= n_faulty_views)
+        found.append(voxels[is_in & (n_foreground >= rules.min_votes)])
+    return np.concatenate(found)
+
+
+def unknown_bruteforce(
+    rig: CameraRig,
+    grid: VoxelGrid,
+    masks: Sequence[Mask],
+    occluders: Occluders,
+    *,
+    n_faulty_views: int,
+    min_views: int | None = None,
+) -> Voxels:
+    """Voxels that nobody speaks against and too few can judge, by projecting every centre: the definition, slow.
+
+    Arguments and errors as of carve_bruteforce. Such a voxel lies in min_views pictures and behind an occluder in at
+    least one; at most n_faulty_views cameras vote background, too few foreground. Returns (N,) int32, ascending.
+    """
+    check_masks(rig, masks)
+    rules = _rules(len(rig), n_faulty_views, min_views, None, "abstain", occluders)
+    found = []
+    for voxels, n_inside, n_seen, n_foreground in _votes_of_planes(rig, grid, masks, occluders):
+        is_open = (n_inside >= rules.min_views) & (n_seen < n_inside) & (n_foreground < rules.min_votes)
+        found.append(voxels[is_open & (n_seen - n_foreground <= n_faulty_views)])
     return np.concatenate(found)
 
 
@@ -210,7 +282,7 @@ def votes_bruteforce(
     check_masks(rig, masks)
     _check_min_votes(len(rig), min_votes)
     parts = []
-    for voxels, n_seen, n_foreground in _votes_of_planes(rig, grid, masks):
+    for voxels, _, n_seen, n_foreground in _votes_of_planes(rig, grid, masks):
         keep = n_foreground >= min_votes
         parts.append((voxels[keep], n_foreground[keep].astype(np.uint8), n_seen[keep].astype(np.uint8)))
     return VoteVolume(grid, *(np.concatenate(column) for column in zip(*parts, strict=True)))
@@ -265,7 +337,7 @@ class _Pool:
         # Untouched pages of these buffers cost nothing.
         self.capacity, self.n_used = capacity, 0
         self.table = np.empty((capacity, 64, n_cameras, 64), dtype=np.int32)
-        self.n_seen = np.empty((capacity, 64, 64), dtype=np.uint8)
+        self.n_seen, self.n_hidden = np.empty((2, capacity, 64, 64), dtype=np.uint8)
         self.box4, self.all4, self.some4, self.high4 = _block_arrays(capacity, 64, n_cameras)
         self.box8, self.all8, self.some8, self.high8 = _block_arrays(capacity, 8, n_cameras)
 
@@ -281,7 +353,7 @@ def _block_arrays(capacity: int, n: int, n_cameras: int) -> tuple[np.ndarray, ..
 
 def _pool_bytes(n_cameras: int) -> int:
     """Bytes of the tables of one block of 16."""
-    return 64 * (64 * (4 * n_cameras + 1)) + 72 * (8 * n_cameras + 17)
+    return 64 * (64 * (4 * n_cameras + 2)) + 72 * (8 * n_cameras + 17)
 
 
 class Carver:
@@ -291,16 +363,25 @@ class Carver:
     computed at once by interval arithmetic; exact pixels of a block's voxels are computed when a silhouette
     first falls on it, and kept. So start-up is quick, and memory grows with the space that is visited, up to
     max_table_mb (10^6 bytes); beyond it tables are discarded and computed again, which costs time only.
+    occluders : behind them a camera has no vote in `carve`; None = nothing stands in anybody's way.
     Not thread-safe: it holds work buffers; threads need one each.
     Raises ValueError when the rig has more than 62 cameras or pictures of more than 32767 pixels a side.
     """
 
-    def __init__(self, rig: CameraRig, grid: VoxelGrid, *, max_table_mb: float = MAX_TABLE_MB) -> None:
+    def __init__(
+        self,
+        rig: CameraRig,
+        grid: VoxelGrid,
+        *,
+        occluders: Occluders | None = None,
+        max_table_mb: float = MAX_TABLE_MB,
+    ) -> None:
         if len(rig) > MAX_CAMERAS:
             raise ValueError(f"a Carver takes at most {MAX_CAMERAS} cameras, got {len(rig)}")
         if max(max(c.size) for c in rig) > 32767:
             raise ValueError("a Carver takes pictures of at most 32767 pixels a side")
         self.rig, self.grid = rig, grid
+        self.occluders = None if occluders is None or occluders.is_empty else occluders
         self._large = self._enclose()
         self._huge = self._large.doubled().doubled()
         n_blocks = len(self._large.high)
@@ -334,6 +415,8 @@ class Carver:
             _carve_kernels.enclose_blocks(
                 lower, upper, parameters, width, height, c, box, sees_all, sees_some
             )
+            if self.occluders is not None and self.occluders.of(camera) is not None:
+                sees_all &= ~np.int64(1 << c)  # until the exact tables say which voxels are hidden
         high = np.bitwise_count(sees_some).astype(np.uint8)
         return _Level((counts[0], counts[1], counts[2]), box, sees_all, sees_some, high)
 
@@ -366,19 +449,30 @@ class Carver:
                 block, counts, shape, self.grid.origin, self.grid.voxel_size_m, *xyz, is_real
             )
             pool.n_seen[t] = 0
+            pool.n_hidden[t] = 0
             pool.all4[t] = 0
             pool.some4[t] = 0
             for c, camera in enumerate(self.rig):
                 _project(camera, xyz, pixels)
+                self._hide(camera, xyz, pixels)
                 _carve_kernels.enter_pixels(
                     pixels, is_real, c, camera.size[0],
-                    pool.table[t], pool.n_seen[t], pool.box4[t], pool.all4[t], pool.some4[t],
+                    pool.table[t], pool.n_seen[t], pool.n_hidden[t], pool.box4[t], pool.all4[t], pool.some4[t],
                 )  # fmt: skip
             large.sees_all[block], large.sees_some[block], large.high[block] = _carve_kernels.sum_up_block(
-                pool.n_seen[t], pool.box4[t], pool.all4[t], pool.some4[t], pool.high4[t],
+                pool.n_seen[t], pool.n_hidden[t], pool.box4[t], pool.all4[t], pool.some4[t], pool.high4[t],
                 pool.box8[t], pool.all8[t], pool.some8[t], pool.high8[t], large.box[block],
             )  # fmt: skip
             self._slot[block] = t
+
+    def _hide(self, camera: Camera, xyz: Array, pixels: NDArray[np.int32]) -> None:
+        """Mark the pixels of points (3, n) m that lie behind an occluder."""
+        depth_m = None if self.occluders is None else self.occluders.of(camera)
+        if self.occluders is not None and depth_m is not None:
+            axis = np.array([*camera.R[2], camera.t[2]])
+            _occluder_kernels.hide_pixels(
+                pixels, *xyz, axis, camera.size[0], self.occluders.cell_px, depth_m, _carve_kernels.HIDDEN
+            )
 
     def _prepare_images(self) -> None:
         widths = np.array([c.size[0] for c in self.rig], dtype=np.int64)
@@ -419,22 +513,22 @@ class Carver:
         *,
         n_faulty_views: int,
         min_views: int | None = None,
+        min_votes: int | None = None,
         outside: Outside = "abstain",
     ) -> Voxels:
         """Occupied voxels of one frame; arguments, result and errors as of carve_bruteforce.
 
         Source: CF 2.2.4; coarse to fine after the octree idea quoted there, on integral images.
         """
-        needed = _check_votes(len(self.rig), n_faulty_views, min_views, outside)
-        strict = outside == "background"
-        self._load(masks, 0 if strict else 1)
+        rules = _rules(len(self.rig), n_faulty_views, min_views, min_votes, outside, self.occluders)
+        self._load(masks, 0 if rules.is_strict else 1)
         large, huge, pool = self._large, self._huge, self._pool
         images = (self._integral, self._integral_start, self._rect)
         blocks = np.empty(len(large.high), dtype=np.int32)
         n = _carve_kernels.survey(
             huge.box, huge.sees_all, huge.sees_some, huge.high, np.array(huge.counts),
             large.box, large.sees_all, large.sees_some, large.high, np.array(large.counts),
-            *images, strict, n_faulty_views, needed, blocks,
+            *images, rules.is_strict, n_faulty_views, rules.min_views, rules.min_votes, blocks,
         )  # fmt: skip
         found = []
         for group in self._batches(blocks[:n]):
@@ -443,11 +537,45 @@ class Carver:
                 group, self._slot, large.box, large.sees_all, large.sees_some, large.high,
                 np.array(large.counts), np.array(self.grid.shape),
                 pool.box8, pool.all8, pool.some8, pool.high8, pool.box4, pool.all4, pool.some4, pool.high4,
-                pool.table, pool.n_seen, self._masks, self._mask_start, *images,
-                strict, n_faulty_views, needed, out,
+                pool.table, pool.n_seen, pool.n_hidden, self._masks, self._mask_start, *images,
+                rules.is_strict, n_faulty_views, rules.min_views, rules.min_votes, rules.counts_votes, out,
             )  # fmt: skip
             found.append(out[:n].copy())
         return np.sort(np.concatenate(found)) if found else np.zeros(0, dtype=np.int32)
+
+    def unknown(
+        self,
+        masks: Sequence[Mask],
+        lower_sub: NDArray[np.integer],
+        upper_sub: NDArray[np.integer],
+        *,
+        n_faulty_views: int,
+        min_views: int | None = None,
+    ) -> Voxels:
+        """Voxels of a box that nobody speaks against and too few can judge, as unknown_bruteforce.
+
+        lower_sub, upper_sub : (3,) voxel subscripts, upper exclusive; the box may exceed the grid. Without occluders
+        there are none.
+        """
+        rules = _rules(len(self.rig), n_faulty_views, min_views, None, "abstain", self.occluders)
+        lower = np.maximum(lower_sub, 0)
+        upper = np.minimum(upper_sub, self.grid.shape)
+        if self.occluders is None or np.any(lower >= upper):
+            return np.zeros(0, dtype=np.int32)
+        self._load(masks, 0)
+        counts = self._large.counts
+        axes = [np.arange(lo // 16, -(-hi // 16)) for lo, hi in zip(lower, upper, strict=True)]
+        blocks = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), counts).ravel().astype(np.int32)
+        pool, found = self._pool, []
+        for group in self._batches(blocks):
+            out = np.empty(4096 * len(group), dtype=np.int32)
+            n = _carve_kernels.unknown_voxels(
+                group, self._slot, np.array(counts), np.array(self.grid.shape),
+                pool.table, pool.n_seen, pool.n_hidden, self._masks, self._mask_start,
+                n_faulty_views, rules.min_views, rules.min_votes, lower, upper, out,
+            )  # fmt: skip
+            found.append(out[:n].copy())
+        return np.sort(np.concatenate(found))
 
     def votes(self, masks: Sequence[Mask], *, min_votes: int = 1) -> VoteVolume:
         """Soft volume of one frame; arguments, result and errors as of votes_bruteforce.

@@ -107,7 +107,7 @@ def check_every_vote(seed: int) -> None:
     carver = Carver(rig, grid)
     small = Carver(rig, grid, max_table_mb=3 * SMALLEST_TABLE_MB)
     parts = list(zip(*_votes_of_planes(rig, grid, masks), strict=True))
-    voxels, n_seen, n_votes = (np.concatenate(p) for p in parts)
+    voxels, _, n_seen, n_votes = (np.concatenate(p) for p in parts)
     for k, m, outside in all_votes(rig, grid):
         missing = (n_seen if outside == "abstain" else len(rig)) - n_votes
         expected = voxels[(n_seen >= m) & (missing <= k)]

@@ -1,0 +1,68 @@
+"""What stands still between cameras and people: a depth map per camera, behind which it cannot judge."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data.camera import Camera, CameraRig
+
+Array = NDArray[np.float64]
+DepthMap = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Occluders:
+    """What hides people from cameras.
+
+    depth_m : camera name -> (h, w) float32, per cell of cell_px x cell_px picture pixels the depth (along the optical
+    axis) of the nearest thing that stands there, m; inf where nothing is known to stand.
+    """
+
+    depth_m: Mapping[str, DepthMap]
+    cell_px: int
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is known to stand anywhere."""
+        return not any(np.isfinite(depth).any() for depth in self.depth_m.values())
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Share of each camera's picture in which something stands."""
+        return {name: float(np.isfinite(depth).mean()) for name, depth in self.depth_m.items()}
+
+    def of(self, camera: Camera) -> DepthMap | None:
+        """The map of a camera, or None when nothing is known to stand in its picture."""
+        depth = self.depth_m.get(camera.name)
+        return depth if depth is not None and bool(np.isfinite(depth).any()) else None
+
+    def hides(self, camera: Camera, points_world: Array) -> NDArray[np.bool_]:
+        """Whether points (N, 3) m lie behind something in this camera, (N,) bool; False outside its picture."""
+        is_hidden = np.zeros(len(points_world), dtype=np.bool_)
+        own = self.of(camera)
+        if own is None:
+            return is_hidden
+        uv, depth = camera.project(points_world)
+        inside = camera.contains(uv)
+        cell = np.floor(uv[inside] + 0.5).astype(np.int64) // self.cell_px
+        cell = np.clip(cell, 0, np.array(own.shape[::-1]) - 1)
+        is_hidden[inside] = depth[inside] > own[cell[:, 1], cell[:, 0]]
+        return is_hidden
+
+    def on_cells(self) -> Occluders:
+        """The same for cameras whose pixels are the cells."""
+        return replace(self, cell_px=1)
+
+
+def n_judges(rig: CameraRig, points_world: Array, occluders: Occluders | None) -> NDArray[np.int64]:
+    """How many cameras have each point (N, 3) m in their picture with nothing known to stand before it, (N,)."""
+    n = np.zeros(len(points_world), dtype=np.int64)
+    for camera in rig:
+        n += camera.contains(camera.project(points_world)[0])
+        if occluders is not None:
+            n -= occluders.hides(camera, points_world)
+    return n

@@ -1,0 +1,316 @@
+"""Occluders: a column that hides a walking cylinder, what must not be taken for one, and carving with abstention."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from mocap.data import Camera, CameraRig, Occluders, VoxelGrid, n_judges
+from mocap.volume import Carver, OccluderLearner, carve_bruteforce, learn_occluders, masks_by_cells
+from mocap.volume import _occluder_kernels as kernels
+from mocap.volume.carve import unknown_bruteforce
+from mocap.volume.occluders import BLOCKED_MARGIN_M, solid_voxels
+from tests.volume.test_volume_carve import SMALLEST_TABLE_MB, hard_scene
+
+SIZE = (240, 180)
+N_CAMERAS = 6
+PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.2, 1.75
+BOX = np.array([[0.3, -0.5, 0.0], [0.6, 0.4, 0.8]])  # a cupboard that hides legs
+ROOM = VoxelGrid.from_bounds(np.array([-1.8, -1.8, 0.0]), np.array([1.8, 1.8, 2.0]), 0.06)
+
+
+def ring_rig() -> CameraRig:
+    cameras = []
+    for i in range(N_CAMERAS):
+        angle = 2 * np.pi * (i + 0.3) / N_CAMERAS
+        eye = np.array([3.2 * np.cos(angle), 3.2 * np.sin(angle), 1.7])
+        forward = np.array([0.0, 0.0, 0.8]) - eye
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        R = np.array([right, np.cross(forward, right), forward])
+        K = np.array([[150.0, 0.0, SIZE[0] / 2], [0.0, 150.0, SIZE[1] / 2], [0.0, 0.0, 1.0]])
+        cameras.append(Camera(f"c{i}", SIZE, K, np.zeros(4), R, -R @ eye))
+    return CameraRig(tuple(cameras))
+
+
+@lru_cache
+def rays_of(i: int) -> tuple[np.ndarray, np.ndarray]:
+    camera = ring_rig()[i]
+    u, v = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    return camera.center, camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2).astype(float))
+
+
+def hit_cylinder(eye: np.ndarray, rays: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Distance along rays (N, 3) to the person, inf beside it."""
+    d, o = rays[:, :2], eye[:2] - at
+    a, b, c = (d**2).sum(axis=1), d @ o, o @ o - PERSON_RADIUS_M**2
+    root = b**2 - a * c
+    t = (-b - np.sqrt(np.maximum(root, 0.0))) / a
+    z = eye[2] + t * rays[:, 2]
+    return np.where((root > 0) & (z > 0) & (z < PERSON_HEIGHT_M), t, np.inf)
+
+
+def hit_box(eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    with np.errstate(divide="ignore"):
+        t = (BOX[:, None] - eye) / rays
+    near, far = t.min(axis=0).max(axis=1), t.max(axis=0).min(axis=1)
+    return np.where((near < far) & (near > 0), near, np.inf)
+
+
+def path(n: int) -> np.ndarray:
+    """Places (n, 2) of a person who walks round the cupboard."""
+    turn = np.linspace(0.0, 2 * np.pi, n, endpoint=False)
+    return np.column_stack([0.4 + 0.75 * np.cos(turn), -0.05 + 0.95 * np.sin(turn)])
+
+
+def pictures(places: np.ndarray, *, with_box: bool) -> list[list[np.ndarray]]:
+    """Masks per frame and camera."""
+    frames = []
+    for at in places:
+        masks = []
+        for i in range(N_CAMERAS):
+            eye, rays = rays_of(i)
+            person = hit_cylinder(eye, rays, at)
+            seen = person < (hit_box(eye, rays) if with_box else np.inf)
+            masks.append(seen.reshape(SIZE[::-1]))
+        frames.append(masks)
+    return frames
+
+
+@lru_cache
+def clip(with_box: bool) -> list[list[np.ndarray]]:
+    return pictures(path(60), with_box=with_box)
+
+
+@lru_cache
+def learnt() -> Occluders:
+    return learn_occluders(ring_rig(), ROOM, clip(True))
+
+
+def volume_of(at: np.ndarray, occluders: Occluders | None, masks: list[np.ndarray]) -> np.ndarray:
+    return Carver(ring_rig(), ROOM, occluders=occluders).carve(masks, n_faulty_views=0)
+
+
+def test_a_cupboard_is_learnt_and_legs_behind_it_are_carved():
+    whole, plain, aware, surplus = 0, 0, 0, 0
+    for at, masks, complete in list(zip(path(60), clip(True), clip(False), strict=True))[::6]:
+        true = volume_of(at, None, complete)
+        seen, better = volume_of(at, None, masks), volume_of(at, learnt(), masks)
+        whole += len(true)
+        plain += len(np.intersect1d(true, seen))
+        aware += len(np.intersect1d(true, better))
+        surplus += len(np.setdiff1d(better, true))
+    assert plain < 0.75 * whole  # the experiment is worth something: a third is hidden from somebody
+    assert aware > 0.95 * whole
+    assert surplus < 0.15 * whole
+
+
+def test_a_map_begins_before_what_it_hides_and_not_before_the_camera():
+    for i, camera in enumerate(ring_rig()):
+        depth = learnt().of(camera)
+        if depth is None:
+            continue
+        eye, rays = rays_of(i)
+        true = (hit_box(eye, rays) * (rays @ camera.R[2])).reshape(SIZE[::-1])[2::4, 2::4]
+        both = np.isfinite(depth) & np.isfinite(true)
+        assert np.median(np.abs(depth[both] - true[both])) < 0.2  # four voxels
+
+
+def test_nothing_is_learnt_in_an_empty_room():
+    assert learn_occluders(ring_rig(), ROOM, clip(False)).is_empty
+
+
+def test_a_hole_that_goes_with_the_person_is_no_furniture():
+    frames = []
+    for masks in clip(False):
+        own = [m.copy() for m in masks]
+        rows = np.flatnonzero(own[2].any(axis=1))
+        own[2][rows[len(rows) // 3] : rows[len(rows) // 2]] = False  # a belt of the background's colour
+        frames.append(own)
+    assert learn_occluders(ring_rig(), ROOM, frames).is_empty
+
+
+def test_a_person_who_stands_still_is_one_vote():
+    masks = clip(True)[0]
+    learner = OccluderLearner(ring_rig(), ROOM)
+    assert learner.add(masks_by_cells(masks))
+    before = learner.n_blocked.copy()
+    assert not any(learner.add(masks_by_cells(masks)) for _ in range(20))
+    np.testing.assert_array_equal(learner.n_blocked, before)
+
+
+def test_the_order_of_cameras_does_not_matter():
+    order = [4, 0, 5, 2, 1, 3]
+    rig = CameraRig(tuple(ring_rig()[i] for i in order))
+    other = learn_occluders(rig, ROOM, [[masks[i] for i in order] for masks in clip(True)])
+    for name, depth in learnt().depth_m.items():
+        np.testing.assert_array_equal(other.depth_m[name], depth)
+
+
+def test_frames_in_which_nobody_is_seen_say_nothing():
+    nobody = [np.zeros(SIZE[::-1], dtype=np.bool_)] * N_CAMERAS
+    with_gap = [*clip(True)[:30], *[nobody] * 30, *clip(True)[30:]]
+    found = learn_occluders(ring_rig(), ROOM, with_gap)
+    for name, depth in learnt().depth_m.items():
+        np.testing.assert_array_equal(found.depth_m[name], depth)
+
+
+def test_a_camera_that_never_sees_anybody_is_hidden_where_they_walk():
+    frames = [[*masks[:3], np.zeros_like(masks[3]), *masks[4:]] for masks in clip(False)]
+    found = learn_occluders(ring_rig(), ROOM, frames)
+    camera = ring_rig()[3]
+    middle = np.column_stack([path(60), np.full(60, 0.9)])
+    assert found.hides(camera, middle).mean() > 0.9
+    assert not any(found.hides(c, middle).any() for i, c in enumerate(ring_rig()) if i != 3)
+
+
+def test_three_cameras_learn_nothing():
+    rig = CameraRig(tuple(ring_rig())[:3])
+    assert learn_occluders(rig, ROOM, [masks[:3] for masks in clip(True)]).is_empty
+    with pytest.raises(ValueError, match="at least 4 cameras"):
+        OccluderLearner(rig, ROOM)
+
+
+def random_occluders(rig: CameraRig, rng: np.random.Generator) -> Occluders:
+    """Rectangles at random depths in most pictures."""
+    maps = {}
+    for camera in rig:
+        w, h = -(-camera.size[0] // 4), -(-camera.size[1] // 4)
+        depth = np.full((h, w), np.inf, dtype=np.float32)
+        if rng.random() < 0.8:
+            depth[: rng.integers(1, h + 1), rng.integers(0, w) :] = rng.uniform(0.3, 2.5)
+        maps[camera.name] = depth
+    return Occluders(maps, 4)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_carving_and_the_unknown_equal_their_definitions(seed):
+    rig, grid, masks = hard_scene(seed)
+    occluders = random_occluders(rig, np.random.default_rng(seed))
+    for carver in (
+        Carver(rig, grid, occluders=occluders),
+        Carver(rig, grid, occluders=occluders, max_table_mb=3 * SMALLEST_TABLE_MB),
+    ):
+        for k in range(min(3, len(rig))):
+            expected = carve_bruteforce(rig, grid, masks, n_faulty_views=k, occluders=occluders)
+            np.testing.assert_array_equal(carver.carve(masks, n_faulty_views=k), expected)
+            if occluders.is_empty:
+                continue
+            unknown = unknown_bruteforce(rig, grid, masks, occluders, n_faulty_views=k)
+            box = np.array([-1, 2, 0]), np.array([*grid.shape]) - [1, 0, 2]
+            inside = np.all((s := grid.subscripts(unknown)) >= box[0], axis=1) & np.all(s < box[1], axis=1)
+            np.testing.assert_array_equal(carver.unknown(masks, *box, n_faulty_views=k), unknown[inside])
+
+
+@pytest.mark.parametrize("seed", range(20, 28))
+def test_abstention_takes_no_voxel_away_but_makes_it_unknown(seed):
+    rig, grid, masks = hard_scene(seed)
+    occluders = random_occluders(rig, np.random.default_rng(seed))
+    plain = carve_bruteforce(rig, grid, masks, n_faulty_views=0)
+    aware = carve_bruteforce(rig, grid, masks, n_faulty_views=0, occluders=occluders)
+    unknown = unknown_bruteforce(rig, grid, masks, occluders, n_faulty_views=0)
+    assert len(np.intersect1d(aware, unknown)) == 0
+    assert len(np.setdiff1d(plain, np.union1d(aware, unknown))) == 0
+
+
+def test_no_occluders_is_the_same_as_empty_ones():
+    rig, grid, masks = hard_scene(3)
+    carver = Carver(rig, grid, occluders=Occluders({}, 4))
+    np.testing.assert_array_equal(
+        carver.carve(masks, n_faulty_views=0), Carver(rig, grid).carve(masks, n_faulty_views=0)
+    )
+    assert len(carver.unknown(masks, np.zeros(3, int), np.array(grid.shape), n_faulty_views=0)) == 0
+
+
+def test_occluders_and_a_strict_border_exclude_each_other():
+    rig, grid, masks = hard_scene(3)
+    carver = Carver(rig, grid, occluders=random_occluders(rig, np.random.default_rng(1)))
+    with pytest.raises(ValueError, match="occluders"):
+        carver.carve(masks, n_faulty_views=0, outside="background")
+
+
+def test_judges_are_the_cameras_before_whom_nothing_stands():
+    rig = ring_rig()
+    points = np.array([[-0.5, 0.2, 1.0], [0.1, -0.3, 0.2], [0.0, 0.0, 40.0]])
+    inside = sum(c.contains(c.project(points)[0]).astype(int) for c in rig)
+    hidden = sum(learnt().hides(c, points).astype(int) for c in rig)
+    np.testing.assert_array_equal(n_judges(rig, points, None), inside)
+    np.testing.assert_array_equal(n_judges(rig, points, learnt()), inside - hidden)
+    assert inside[2] == 0
+
+
+def test_votes_that_decide():
+    space = VoxelGrid(np.zeros(3), (6, 7, 8), 0.05)
+    n_blocked = np.zeros(space.n_voxels, dtype=np.uint16)
+    n_free = np.zeros_like(n_blocked)
+    thing = space.linear(np.array([[x, y, 1] for x in range(3) for y in range(4)]))
+    n_blocked[thing] = 4
+    assert len(solid_voxels(space, n_free, n_blocked)) == 0  # nowhere sure
+    n_blocked[thing[5]] = 8
+    np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing))
+    n_free[thing[0]] = 1
+    np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing[1:]))
+    n_blocked[thing[7:]] = 0
+    assert len(solid_voxels(space, n_free, n_blocked)) == 0  # six voxels, three quarters of a litre
+
+
+# ------------------------------------------------------------------------------------ kernels and their twins
+
+
+def test_paint_nearest_is_the_smallest_depth_over_squares():
+    rng = np.random.default_rng(4)
+    uv, depth = rng.uniform(-5, 45, (70, 2)), rng.uniform(-0.5, 4.0, 70)
+    half = rng.uniform(0.0, 4.0, 70)
+    uv[7] = np.nan
+    got = np.full((24, 32), np.inf, dtype=np.float32)
+    kernels.paint_nearest(uv, depth, half, got)
+    expected = np.full((24, 32), np.inf, dtype=np.float32)
+    v, u = np.mgrid[:24, :32]
+    for (a, b), d, r in zip(uv, depth, half, strict=True):
+        if d > 0 and np.isfinite(a):
+            near = (np.abs(u - a) <= r + 0.5) & (np.abs(v - b) <= r + 0.5)
+            expected[near] = np.minimum(expected[near], np.float32(d))
+    np.testing.assert_array_equal(got, expected)
+    again = np.full_like(got, np.inf)
+    kernels.paint_nearest.py_func(uv, depth, half, again)
+    np.testing.assert_array_equal(again, got)
+
+
+def test_sort_by_cell_groups_points_in_their_order():
+    cell = np.array([3, -1, 0, 3, 5, 0, -1, 3], dtype=np.int32)
+    first, rows = np.empty(7, dtype=np.int64), np.empty(6, dtype=np.int32)
+    for run in (kernels.sort_by_cell, kernels.sort_by_cell.py_func):
+        run(cell, first, rows)
+        np.testing.assert_array_equal(first, [0, 2, 2, 2, 5, 5, 6])
+        np.testing.assert_array_equal(rows, [2, 5, 0, 3, 7, 4])
+
+
+def test_votes_go_to_what_lies_well_before_the_person():
+    first = np.array([0, 3, 5, 6], dtype=np.int64)
+    rows = np.array([4, 0, 2, 1, 5, 3], dtype=np.int32)
+    depth = np.array([1.0, 1.95, 3.0, 0.5, 2.5, 0.1], dtype=np.float32)
+    near = np.array([2.0, 1.0, np.inf], dtype=np.float32)
+    verdict = np.array([kernels.FREE, kernels.BLOCKED, kernels.NO_VOTE], dtype=np.uint8)
+    for run in (kernels.vote_along_rays, kernels.vote_along_rays.py_func):
+        n_free, n_blocked = np.zeros((2, 6), dtype=np.uint16)
+        n_free[4] = 65535  # full counters stay full
+        run(near, verdict, first, rows, depth, BLOCKED_MARGIN_M, n_free, n_blocked)
+        np.testing.assert_array_equal(n_free, [0, 0, 0, 0, 65535, 0])
+        np.testing.assert_array_equal(n_blocked, [0, 1, 0, 0, 0, 0])
+
+
+def test_pixels_are_hidden_behind_the_map_only():
+    map_depth = np.array([[1.0, np.inf], [2.0, 0.5]], dtype=np.float32)
+    axis = np.array([0.0, 0.0, 1.0, 0.25])
+    xs = ys = np.zeros(5)
+    zs = np.array([0.7, 0.8, 9.0, 1.8, 0.3])
+    pixels = np.array(
+        [0, 9, 5, -1, 8 * 7 + 4], dtype=np.int32
+    )  # 8 wide: (0, 0), (1, 1), (5, 0), outside, (4, 7)
+    for run in (kernels.hide_pixels, kernels.hide_pixels.py_func):
+        own = pixels.copy()
+        run(own, xs, ys, zs, axis, 8, 4, map_depth, -2)
+        np.testing.assert_array_equal(own, [0, -2, 5, -1, -2])
