@@ -18,7 +18,7 @@ from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from mocap.io.checkerboard import find_board, numberings, triangulate
-from mocap.io.session import sources_in
+from mocap.io.session.sources import sources_in
 from mocap.io.video import clip_info, iter_clip
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""What can be said about a session before it is run: `mocap check`."""
+"""Checks of an opened session before it is run: the second half of `mocap check`, one function per check."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from mocap.errors import MocapError
 from mocap.io._files import VIDEO_SUFFIXES
 from mocap.io.calibration import calibration_candidates, read_calibration
 from mocap.io.checkerboard import BoardMeasure, Views, find_boards, measure_board
-from mocap.io.session import Finding, Session, sources_in
+from mocap.io.session.record import Finding, Session
+from mocap.io.session.sources import sources_in
+from mocap.io.video import clip_info
 
 Array = NDArray[np.float64]
 
@@ -25,30 +27,22 @@ _MIN_COMMON_M3 = 1.0
 _MIN_BACKGROUND_FRAMES = 5
 
 
-def findings(session: Session) -> list[Finding]:
-    """Findings in the order in which a person reads them: calibration, geometry, clips, background, masks."""
-    out = [
-        Finding(
-            "ok",
-            f"calibration {session.calibration_path.name}: {session.calibration.format}, "
-            f"{len(session.calibration.rig)} cameras, unit {session.calibration.units}"
-            + (
-                f", its own reprojection error {session.calibration.rms_px:.2f} px"
-                if session.calibration.rms_px is not None
-                else ""
-            ),
-        )
-    ]
-    out += [Finding("ok", f"calibration: {note}") for note in session.notes]
-    out += [Finding("warning", text) for text in session.warnings]
-    out += _geometry(session)
-    out += _clips(session)
-    out += _background(session)
-    out += _calibration_quality(session)
-    return out
+def calibration(session: Session) -> list[Finding]:
+    """The calibration in use, and what its reader converted."""
+    used = session.calibration
+    text = f"calibration {session.calibration_path.name}: {used.format}, {len(used.rig)} cameras, unit {used.units}"
+    if used.rms_px is not None:
+        text += f", its own reprojection error {used.rms_px:.2f} px"
+    return [Finding("ok", text), *(Finding("ok", f"calibration: {note}") for note in session.notes)]
 
 
-def _geometry(session: Session) -> list[Finding]:
+def warnings(session: Session) -> list[Finding]:
+    """What was found while the session was opened."""
+    return [Finding("warning", text) for text in session.warnings]
+
+
+def geometry(session: Session) -> list[Finding]:
+    """Where the cameras stand, and what they see together."""
     rig = session.rig
     centers = np.array([c.center for c in rig])
     baselines = np.linalg.norm(centers[:, None] - centers[None], axis=-1)[np.triu_indices(len(rig), 1)]
@@ -159,7 +153,8 @@ def _visibility(
     return points, sees.sum(axis=0), sees
 
 
-def _clips(session: Session) -> list[Finding]:
+def clips(session: Session) -> list[Finding]:
+    """What there is of each camera, and which frames of it are used."""
     what = []
     if session.image_sources:
         what.append("pictures")
@@ -180,7 +175,8 @@ def _clips(session: Session) -> list[Finding]:
     return out
 
 
-def _background(session: Session) -> list[Finding]:
+def background(session: Session) -> list[Finding]:
+    """Whether the empty scene is known."""
     if session.mask_sources:
         return [Finding("ok", "masks are given: segmentation is skipped")]
     if not session.image_sources:
@@ -194,8 +190,6 @@ def _background(session: Session) -> list[Finding]:
                 remedy="film the empty room for a second and put it into background/CAM.mp4 (or CAM.png)",
             )
         ]
-    from mocap.io.video import clip_info
-
     counts = {n: clip_info(p, camera=n).n_frames for n, p in session.background_sources.items()}
     out = [Finding("ok", f"background: {min(counts.values())} to {max(counts.values())} frames per camera")]
     if few := [n for n, c in counts.items() if c < _MIN_BACKGROUND_FRAMES]:
@@ -211,7 +205,8 @@ def _background(session: Session) -> list[Finding]:
     return out
 
 
-def _calibration_quality(session: Session) -> list[Finding]:
+def calibration_quality(session: Session) -> list[Finding]:
+    """How well the calibration, and others in the folder, fit a checkerboard that was filmed."""
     folder = session.root / "checkerboard"
     sources = {n: p for n, p in sources_in(folder, VIDEO_SUFFIXES).items() if n in session.rig.names}
     if len(sources) < 2:

@@ -1,0 +1,207 @@
+"""Opening a session: a list of rules, each of which finds something out, says what it found, or refuses.
+
+`open_session` walks OPENING; `mocap check` goes on with CHECKING on the session that came out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+from mocap.data import CameraRig
+from mocap.errors import MocapError
+from mocap.io.calibration import CalibrationFile, find_calibration, read_calibration
+from mocap.io.session import check
+from mocap.io.session.frames import check_clip_size, choose_fps, choose_frames, rig_with_true_sizes
+from mocap.io.session.record import Finding, Session
+from mocap.io.session.settings import SessionSettings, bad_key, read_session_settings
+from mocap.io.session.sources import (
+    Sources,
+    cameras_with_sources,
+    images_and_masks,
+    match_sources,
+    wanted_cameras,
+)
+from mocap.io.video import ClipInfo, clip_info
+
+Frames = tuple[int | None, int | None]
+Value = TypeVar("Value")
+
+
+@dataclass
+class Opening:
+    """A session folder while it is opened: the question, and what the rules have found out so far."""
+
+    root: Path
+    wanted_calibration: Path | None = None
+    wanted_frames: Frames | None = None
+    settings: SessionSettings = field(init=False)
+    calibration: CalibrationFile = field(init=False)
+    sources: Sources = field(init=False)
+    rig: CameraRig = field(init=False)
+    images: dict[str, Path] = field(init=False)
+    masks: dict[str, Path] = field(init=False)
+    # By camera what was counted of its pictures (else masks), and all that was counted, also beside the pictures.
+    clips: dict[str, ClipInfo] = field(init=False)
+    counted: dict[str, ClipInfo] = field(init=False)
+    frames: range = field(init=False)
+    fps: float = field(init=False)
+
+
+def _folder(o: Opening) -> list[Finding]:
+    """The folder is there."""
+    if not o.root.is_dir():
+        raise MocapError(
+            "no such session folder", path=o.root, remedy="check the path, or make one: mocap synth"
+        )
+    return []
+
+
+def _settings(o: Opening) -> list[Finding]:
+    """session.toml says only what is known."""
+    o.settings = read_session_settings(o.root / "session.toml")
+    return []
+
+
+def _calibration(o: Opening) -> list[Finding]:
+    """There is one calibration, and it can be."""
+    path = o.wanted_calibration if o.wanted_calibration is not None else find_calibration(o.root)
+    o.calibration = read_calibration(path, units=o.settings.calibration_units, up=o.settings.calibration_up)
+    return [Finding("warning", text) for text in o.calibration.warnings]
+
+
+def _sources(o: Opening) -> list[Finding]:
+    """Every file belongs to a calibrated camera."""
+    o.sources, warnings = match_sources(o.root, o.settings, o.calibration.rig, o.calibration.path)
+    names = o.calibration.rig.names
+    if strangers := [n for n in o.settings.roi_px or {} if n not in names]:
+        raise bad_key(
+            o.root / "session.toml", f"roi_px.{strangers[0]}", "names a camera that is not calibrated"
+        )
+    return [Finding("warning", text) for text in warnings]
+
+
+def _cameras(o: Opening) -> list[Finding]:
+    """Every camera that is wanted has pictures or masks."""
+    wanted = wanted_cameras(o.root, o.calibration.rig, o.settings.cameras)
+    o.rig = cameras_with_sources(o.root, wanted, o.sources)
+    o.images, o.masks, warnings = images_and_masks(o.root, o.rig, o.sources)
+    return [Finding("warning", text) for text in warnings]
+
+
+def _additions(o: Opening) -> list[Finding]:
+    """Backgrounds and detections are there for all cameras or for none."""
+    found = []
+    for word, sources in (("background", o.sources.background), ("detections", o.sources.detections)):
+        lacking = [n for n in o.rig.names if n not in sources]
+        if 0 < len(lacking) < len(o.rig):
+            found.append(Finding("warning", f"no {word}/ for camera {', '.join(lacking)}"))
+    return found
+
+
+def _sizes(o: Opening) -> list[Finding]:
+    """Pictures are as large as the calibration says."""
+    o.clips = {n: clip_info(p, camera=n) for n, p in (o.images or o.masks).items()}
+    o.rig = rig_with_true_sizes(o.rig, o.calibration, o.clips)
+    for name, clip in o.clips.items():
+        check_clip_size(clip, o.rig[name])
+    for name in o.rig.names:
+        if name in o.sources.background:
+            check_clip_size(clip_info(o.sources.background[name], camera=name), o.rig[name])
+    o.counted = dict(o.clips)
+    if o.images:
+        for name, path in o.masks.items():
+            clip = clip_info(path, camera=name)
+            check_clip_size(clip, o.rig[name])
+            o.counted[f"{name} (masks)"] = clip
+    return []
+
+
+def _frames(o: Opening) -> list[Finding]:
+    """All clips have the frames that are wanted."""
+    wanted = o.wanted_frames if o.wanted_frames is not None else o.settings.frames
+    o.frames = choose_frames(o.root, o.counted, _of(o.rig, o.sources.detections), wanted)
+    return []
+
+
+def _frame_rate(o: Opening) -> list[Finding]:
+    """One frame rate holds for all clips."""
+    o.fps, warnings = choose_fps(o.settings.fps, o.clips)
+    return [Finding("warning", text) for text in warnings]
+
+
+OPENING: tuple[Callable[[Opening], list[Finding]], ...] = (
+    _folder,
+    _settings,
+    _calibration,
+    _sources,
+    _cameras,
+    _additions,
+    _sizes,
+    _frames,
+    _frame_rate,
+)
+CHECKING: tuple[Callable[[Session], list[Finding]], ...] = (
+    check.calibration,
+    check.warnings,
+    check.geometry,
+    check.clips,
+    check.background,
+    check.calibration_quality,
+)
+
+
+def open_session(
+    root: Path | str,
+    *,
+    calibration: Path | str | None = None,
+    frames: Frames | None = None,
+) -> Session:
+    """Open a session folder and check that its parts belong together.
+
+    calibration : file to use instead of the session's own.  frames : (start, stop), stop excluded, None = from
+    the first / to the last common frame; overrides session.toml.
+    Raises MocapError with camera, file and remedy for no or bad calibration, no pictures and no masks, a source
+    without calibration, a calibrated camera without source (unless session.toml names the `cameras` to use),
+    fewer than two cameras, sizes differing from the calibration, clips of different length, unreadable,
+    truncated or empty clips, a frame range outside the clips.
+    """
+    o = Opening(Path(root), None if calibration is None else Path(calibration), frames)
+    findings = [finding for rule in OPENING for finding in rule(o)]
+    truth = o.root / "truth"
+    return Session(
+        root=o.root,
+        name=o.root.resolve().name,
+        rig=o.rig,
+        fps=o.fps,
+        frames=o.frames,
+        image_sources=o.images,
+        background_sources=_of(o.rig, o.sources.background),
+        mask_sources=o.masks,
+        detection_sources=_of(o.rig, o.sources.detections),
+        room_bounds_m=o.settings.room_bounds_m,
+        person_height_m=o.settings.person_height_m,
+        warnings=tuple(f.message for f in findings),
+        truth_dir=truth if truth.is_dir() else None,
+        calibration_path=o.calibration.path,
+        calibration=o.calibration,
+        clips=o.clips,
+        notes=o.calibration.notes,
+        marker_colour=o.settings.marker_colour,
+        checkerboard=o.settings.checkerboard,
+        checkerboard_square_m=o.settings.checkerboard_square_m,
+        roi_sources=_of(o.rig, o.sources.roi),
+        roi_px=_of(o.rig, o.settings.roi_px or {}),
+    )
+
+
+def check_session(session: Session) -> list[Finding]:
+    """What `mocap check` prints: cameras, common view, clips, background, masks, quality of the calibration."""
+    return [finding for rule in CHECKING for finding in rule(session)]
+
+
+def _of(rig: CameraRig, values: Mapping[str, Value]) -> dict[str, Value]:
+    """The values of the cameras of a rig."""
+    return {n: value for n, value in values.items() if n in rig.names}

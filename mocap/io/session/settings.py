@@ -1,0 +1,217 @@
+"""session.toml: what a user says about a session, checked key by key."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mocap.errors import MocapError
+from mocap.io.units import AXES, UNITS, unit_from_word
+
+Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
+Polygon = tuple[tuple[float, float], ...]
+
+_COLOURS = {
+    "white": (255, 255, 255),
+    "red": (255, 0, 0),
+    "green": (0, 255, 0),
+    "blue": (0, 0, 255),
+    "yellow": (255, 255, 0),
+    "orange": (255, 128, 0),
+    "cyan": (0, 255, 255),
+    "magenta": (255, 0, 255),
+}
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """session.toml, checked; every key may be missing."""
+
+    fps: float | None = None
+    frames: tuple[int | None, int | None] | None = None
+    room_bounds_m: Bounds | None = None
+    person_height_m: float | None = None
+    marker_colour: tuple[int, int, int] | None = None
+    cameras: tuple[str, ...] | None = None
+    camera_map: Mapping[str, str] | None = None
+    calibration_units: str | None = None
+    calibration_up: str | None = None
+    checkerboard: tuple[int, int] | None = None
+    checkerboard_square_m: float | None = None
+    roi_px: Mapping[str, Polygon] | None = None
+
+
+def read_session_settings(path: Path | str) -> SessionSettings:
+    """Read and check session.toml; a file that is not there gives the defaults.
+
+    Keys: fps, frames = [start, stop], room_bounds_m = [[x, y, z], [x, y, z]], person_height_m, marker_colour =
+    "red" | "#rrggbb" | [r, g, b], cameras = ["camera name", ...] (the others are left out), calibration_units,
+    calibration_up, checkerboard = [columns, rows] (inner corners), checkerboard_square_m, and the tables
+    [camera_map] file name = "camera name" and [roi_px] camera name = [[u, v], ...] (corners of a polygon).
+    Raises MocapError naming the key for anything else.
+    """
+    path = Path(path)
+    if not path.exists():
+        return SessionSettings()
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise MocapError(
+            f"session.toml cannot be read: {error}", path=path, remedy="correct the file"
+        ) from error
+    known = list(SessionSettings.__dataclass_fields__)
+    for key in document:
+        if key not in known:
+            raise bad_key(path, key, f"is not known; known keys are {', '.join(known)}")
+    return SessionSettings(
+        fps=_positive(path, document, "fps"),
+        frames=_frame_pair(path, document),
+        room_bounds_m=_bounds(path, document),
+        person_height_m=_positive(path, document, "person_height_m", 0.3, 3.0),
+        marker_colour=_colour(path, document),
+        cameras=_cameras(path, document),
+        camera_map=_camera_map(path, document),
+        calibration_units=_units(path, document),
+        calibration_up=_up(path, document),
+        checkerboard=_board(path, document),
+        checkerboard_square_m=_positive(path, document, "checkerboard_square_m"),
+        roi_px=_polygons(path, document),
+    )
+
+
+def bad_key(path: Path, key: str, what: str) -> MocapError:
+    """The error of a key of session.toml that makes no sense."""
+    return MocapError(f"session.toml: {key} {what}", path=path, remedy="correct session.toml")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e12
+
+
+def _are_numbers(value: Any, n: int) -> bool:
+    return isinstance(value, list) and len(value) == n and all(map(_is_number, value))
+
+
+def _positive(
+    path: Path, document: dict[str, Any], key: str, low: float = 0.0, high: float = 1e9
+) -> float | None:
+    value = document.get(key)
+    if value is None:
+        return None
+    if not _is_number(value) or not low < value < high:
+        limits = f" between {low:g} and {high:g}" if low > 0 else " above 0"
+        raise bad_key(path, key, f"is {value!r}, expected a number{limits}")
+    return float(value)
+
+
+def _frame_pair(path: Path, document: dict[str, Any]) -> tuple[int | None, int | None] | None:
+    value = document.get("frames")
+    if value is None:
+        return None
+    is_pair = isinstance(value, list) and len(value) == 2 and all(type(v) is int for v in value)
+    if not is_pair or not 0 <= value[0] < value[1]:
+        raise bad_key(path, "frames", f"is {value!r}, expected [start, stop] with 0 <= start < stop")
+    return value[0], value[1]
+
+
+def _bounds(path: Path, document: dict[str, Any]) -> Bounds | None:
+    value = document.get("room_bounds_m")
+    if value is None:
+        return None
+    is_table = isinstance(value, list) and len(value) == 2 and all(_are_numbers(row, 3) for row in value)
+    if not is_table or not all(a < b for a, b in zip(*value, strict=True)):
+        raise bad_key(
+            path,
+            "room_bounds_m",
+            f"is {value!r}, expected [[x0, y0, z0], [x1, y1, z1]] in metres, lower first",
+        )
+    lower, upper = ((float(x), float(y), float(z)) for x, y, z in value)
+    return lower, upper
+
+
+def _colour(path: Path, document: dict[str, Any]) -> tuple[int, int, int] | None:
+    value = document.get("marker_colour")
+    if value is None:
+        return None
+    if isinstance(value, str):
+        if value.lower() in _COLOURS:
+            return _COLOURS[value.lower()]
+        if re.fullmatch(r"#[0-9a-fA-F]{6}", value):
+            return int(value[1:3], 16), int(value[3:5], 16), int(value[5:7], 16)
+    if isinstance(value, list) and len(value) == 3 and all(type(v) is int and 0 <= v <= 255 for v in value):
+        return value[0], value[1], value[2]
+    raise bad_key(
+        path,
+        "marker_colour",
+        f'is {value!r}, expected [r, g, b] in 0..255, "#rrggbb" or {", ".join(_COLOURS)}',
+    )
+
+
+def _cameras(path: Path, document: dict[str, Any]) -> tuple[str, ...] | None:
+    value = document.get("cameras")
+    if value is None:
+        return None
+    if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
+        raise bad_key(path, "cameras", f"is {value!r}, expected a list of names of calibrated cameras")
+    return tuple(value)
+
+
+def _camera_map(path: Path, document: dict[str, Any]) -> dict[str, str] | None:
+    value = document.get("camera_map")
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise bad_key(path, "camera_map", 'is no table, expected [camera_map] "file name" = "camera name"')
+    for key, name in value.items():
+        if not isinstance(name, str):
+            raise bad_key(path, f"camera_map.{key}", f"is {name!r}, expected the name of a calibrated camera")
+    if doubled := sorted({n for n in value.values() if list(value.values()).count(n) > 1}):
+        raise bad_key(path, "camera_map", f"gives camera {', '.join(doubled)} to more than one file")
+    return dict(value)
+
+
+def _polygons(path: Path, document: dict[str, Any]) -> dict[str, Polygon] | None:
+    value = document.get("roi_px")
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise bad_key(path, "roi_px", "is no table, expected [roi_px] camera = [[u, v], [u, v], [u, v], ...]")
+    polygons = {}
+    for name, corners in value.items():
+        is_polygon = isinstance(corners, list) and len(corners) >= 3
+        if not is_polygon or not all(_are_numbers(corner, 2) for corner in corners):
+            raise bad_key(path, f"roi_px.{name}", f"is {corners!r}, expected at least three corners [u, v]")
+        polygons[name] = tuple((float(u), float(v)) for u, v in corners)
+    return polygons
+
+
+def _units(path: Path, document: dict[str, Any]) -> str | None:
+    value = document.get("calibration_units")
+    if value is None:
+        return None
+    unit = unit_from_word(value) if isinstance(value, str) else None
+    if unit is None:
+        raise bad_key(path, "calibration_units", f"is {value!r}, expected one of {', '.join(UNITS)}")
+    return unit
+
+
+def _up(path: Path, document: dict[str, Any]) -> str | None:
+    value = document.get("calibration_up")
+    if value is not None and value not in AXES:
+        raise bad_key(path, "calibration_up", f'is {value!r}, expected "z", "-y", ...')
+    return value
+
+
+def _board(path: Path, document: dict[str, Any]) -> tuple[int, int] | None:
+    value = document.get("checkerboard")
+    if value is None:
+        return None
+    if not (isinstance(value, list) and len(value) == 2 and all(type(v) is int and v >= 3 for v in value)):
+        raise bad_key(
+            path, "checkerboard", f"is {value!r}, expected [columns, rows] of inner corners, each at least 3"
+        )
+    return value[0], value[1]

@@ -1,0 +1,233 @@
+"""Sources of a session: which file holds the pictures, masks and detections of which calibrated camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from mocap.data import CameraRig
+from mocap.errors import MocapError
+from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
+from mocap.io.session.settings import SessionSettings, bad_key
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Files of a session by calibrated camera, each in the order of the calibration.
+
+    pictures : videos, and picture folders of cameras without a video.
+    """
+
+    pictures: dict[str, Path]
+    masks: dict[str, Path]
+    background: dict[str, Path]
+    detections: dict[str, Path]
+    roi: dict[str, Path]
+
+
+def sources_in(folder: Path, kinds: frozenset[str], *, with_folders: bool = True) -> dict[str, Path]:
+    """Sources of a folder by name without suffix: files of the given suffixes and folders that hold pictures.
+
+    Of several kinds under one name a video comes before a folder, and a folder before a single picture.
+    Raises MocapError when two videos have one name.
+    """
+    if not folder.is_dir():
+        return {}
+    found: dict[str, tuple[int, Path]] = {}
+    for path in sorted(folder.iterdir(), key=lambda p: natural_key(p.name)):
+        named = None if path.name.startswith(".") else _name_and_rank(path, kinds, with_folders)
+        if named is None:
+            continue
+        name, rank = named
+        if name in found and found[name][0] == rank:
+            raise MocapError(
+                f"two sources for one camera: {found[name][1].name} and {path.name}",
+                path=folder,
+                camera=name,
+                remedy="keep one of them",
+            )
+        if name not in found or rank < found[name][0]:
+            found[name] = (rank, path)
+    return {name: path for name, (_, path) in found.items()}
+
+
+def _name_and_rank(path: Path, kinds: frozenset[str], with_folders: bool) -> tuple[str, int] | None:
+    """The name that a source gives to its camera, and its rank (low comes first); None for what is no source."""
+    if path.is_dir():
+        return (path.name, 1) if with_folders else None
+    suffix = path.suffix.lower()
+    if suffix not in kinds:
+        return None
+    return path.stem, 2 if suffix in IMAGE_SUFFIXES else 0
+
+
+def match_sources(
+    root: Path, settings: SessionSettings, rig: CameraRig, calibration: Path
+) -> tuple[Sources, list[str]]:
+    """Sources by calibrated camera name, and what is to be warned of.
+
+    Raises MocapError for a name that the calibration does not know: that is an error, not a camera less.
+    """
+    kinds: dict[str, dict[str, Path]] = {
+        "videos": sources_in(root / "videos", VIDEO_SUFFIXES, with_folders=False),
+        "images": sources_in(root / "images", IMAGE_SUFFIXES),
+        "background": sources_in(root / "background", VIDEO_SUFFIXES | IMAGE_SUFFIXES),
+        "masks": sources_in(root / "masks", VIDEO_SUFFIXES | IMAGE_SUFFIXES | {".npz"}),
+        "detections": sources_in(root / "detections", frozenset({".csv"}), with_folders=False),
+        "roi": sources_in(root / "roi", IMAGE_SUFFIXES, with_folders=False),
+    }
+    camera_map = settings.camera_map or {}
+    _check_camera_map(root, camera_map, rig, kinds)
+    matched = {
+        kind: _by_camera(root, kind, sources, camera_map, rig, calibration) for kind, sources in kinds.items()
+    }
+    both = sorted(matched["videos"].keys() & matched["images"].keys(), key=natural_key)
+    warnings = [f"videos/ and images/ both have camera {listed(both)}: the videos are used"] if both else []
+    pictures = {**matched["images"], **matched["videos"]}
+    return Sources(
+        pictures, matched["masks"], matched["background"], matched["detections"], matched["roi"]
+    ), warnings
+
+
+def _check_camera_map(
+    root: Path, camera_map: Mapping[str, str], rig: CameraRig, kinds: Mapping[str, Mapping[str, Path]]
+) -> None:
+    file_names = {name for sources in kinds.values() for name in sources}
+    for file_name, camera in camera_map.items():
+        what = None
+        if camera not in rig.names:
+            what = f"names camera {camera!r}, but the calibration has {listed(rig.names)}"
+        elif file_name not in file_names:
+            what = f"is no file of the session, which has {listed(sorted(file_names, key=natural_key))}"
+        if what is not None:
+            raise bad_key(root / "session.toml", f"camera_map.{file_name}", what)
+
+
+def _by_camera(
+    root: Path,
+    kind: str,
+    sources: Mapping[str, Path],
+    camera_map: Mapping[str, str],
+    rig: CameraRig,
+    calibration: Path,
+) -> dict[str, Path]:
+    """The sources of one kind by calibrated camera."""
+    named: dict[str, Path] = {}
+    for name, path in sources.items():
+        camera = camera_map.get(name, name)
+        if camera in named:
+            raise bad_key(
+                root / "session.toml", "camera_map", f"gives camera {camera!r} two sources in {kind}/"
+            )
+        named[camera] = path
+    if strangers := [n for n in named if n not in rig.names]:
+        raise MocapError(
+            f"{kind}/ has {listed(strangers)}, which the calibration does not know: {kind}/ holds "
+            f"{listed(list(sources))}; {calibration.name} has {listed(rig.names)}",
+            path=named[strangers[0]],
+            camera=strangers[0],
+            remedy="give files and calibrated cameras the same names, or say which is which in "
+            f'session.toml: [camera_map] "{named[strangers[0]].stem}" = "CAMERA NAME"',
+        )
+    return {n: named[n] for n in rig.names if n in named}
+
+
+def wanted_cameras(root: Path, rig: CameraRig, cameras: tuple[str, ...] | None) -> CameraRig:
+    """The cameras that session.toml asks for, in the order of the calibration; all when it does not say."""
+    if cameras is None:
+        return rig
+    if strangers := [n for n in cameras if n not in rig.names]:
+        raise bad_key(
+            root / "session.toml",
+            "cameras",
+            f"names {listed(strangers)}, but the calibration has {listed(rig.names)}",
+        )
+    return rig.subset([n for n in rig.names if n in cameras])
+
+
+def cameras_with_sources(root: Path, rig: CameraRig, sources: Sources) -> CameraRig:
+    """The rig, when every camera of it has pictures or masks (or detections, where nobody has either).
+
+    Raises MocapError when there are no pictures, fewer than two cameras have any, or one of them has none.
+    """
+    names = set(rig.names)
+    main = names & {*sources.pictures, *sources.masks} or names & {*sources.detections}
+    present = [n for n in rig.names if n in main]
+    absent = [n for n in rig.names if n not in main]
+    if not present:
+        raise _no_pictures(root, rig, sources)
+    if len(present) < 2:
+        raise MocapError(
+            f"only camera {present[0]} has pictures; at least two cameras are needed"
+            + (f" (nothing for {listed(absent)})" if absent else ""),
+            path=root,
+            camera=(absent or present)[0],
+            remedy="add the videos of the other cameras, named as in the calibration",
+        )
+    if absent:
+        raise _without_source(root, present, absent)
+    return rig.subset(present)
+
+
+def _no_pictures(root: Path, rig: CameraRig, sources: Sources) -> MocapError:
+    has_strange = bool(sources.pictures or sources.masks or sources.detections)
+    return MocapError(
+        "the session has no pictures and no masks"
+        + (f" of camera {listed(rig.names)}" if has_strange else ""),
+        path=root,
+        remedy="put videos/CAM.mp4 or images/CAM/*.png there (or masks/CAM/*.png), CAM as named in the "
+        "calibration",
+    )
+
+
+def _without_source(root: Path, present: list[str], absent: list[str]) -> MocapError:
+    kept = ", ".join(f'"{n}"' for n in present)
+    verbs = ("is", "has") if len(absent) == 1 else ("are", "have")
+    return MocapError(
+        f"camera {listed(absent)} {verbs[0]} calibrated but {verbs[1]} no video, pictures or masks",
+        path=root,
+        camera=absent[0],
+        remedy="add the missing clip, named as in the calibration, or leave the camera out in session.toml: "
+        f"cameras = [{kept}]",
+    )
+
+
+def images_and_masks(
+    root: Path, rig: CameraRig, sources: Sources
+) -> tuple[dict[str, Path], dict[str, Path], list[str]]:
+    """Image and mask sources that each cover the rig or are empty, and what is to be warned of.
+
+    Raises MocapError when some cameras have only pictures and others only masks.
+    """
+    images, no_image = _covered(rig, sources.pictures)
+    masks, no_mask = _covered(rig, sources.masks)
+    if images and masks and no_image and no_mask:
+        raise MocapError(
+            f"camera {listed(no_image)} has masks but no pictures, camera {listed(no_mask)} pictures but no masks",
+            path=root,
+            camera=no_image[0],
+            remedy="give pictures for all cameras, or masks for all cameras",
+        )
+    warnings = []
+    if masks and no_mask:
+        warnings.append(
+            f"masks/ lacks camera {listed(no_mask)}: the masks are ignored, the pictures are used"
+        )
+        masks = {}
+    if images and no_image:
+        warnings.append(f"no pictures of camera {listed(no_image)}: only the masks are used")
+        images = {}
+    return images, masks, warnings
+
+
+def _covered(rig: CameraRig, sources: Mapping[str, Path]) -> tuple[dict[str, Path], list[str]]:
+    """The sources of the cameras of a rig, and the cameras without one."""
+    return {n: sources[n] for n in rig.names if n in sources}, [n for n in rig.names if n not in sources]
+
+
+def listed(names: Iterable[str], limit: int = 10) -> str:
+    """Names for a message, at most `limit` of them."""
+    shown = list(names)
+    more = f" and {len(shown) - limit} more" if len(shown) > limit else ""
+    return (", ".join(str(n) for n in shown[:limit]) or "nothing") + more
