@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +17,11 @@ from mocap.errors import MocapError
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+_NAMES_FILE = "names a file"
+# A name that comes with the package, or the path of the user's own file, whose content decides a result.
+NameOrFile = Annotated[str, _NAMES_FILE]
 
 
 class SegmentationConfig(_Section):
@@ -82,7 +88,7 @@ class TrackingConfig(_Section):
 class BodyConfig(_Section):
     """The body model."""
 
-    model: str = "auto"
+    model: NameOrFile = "auto"
     """A preset (`anthropometric`, `girdle`, `thesis`) or a body file; `auto` = `girdle` where poses are refined on
     volumes, else `anthropometric`."""
     height_m: float | None = Field(default=None, gt=0.3, lt=2.6)
@@ -90,7 +96,7 @@ class BodyConfig(_Section):
     sizing: Literal["head", "poses"] = "head"
     """How the volume decides: by the highest place of the head (CF 6.3.4), or by it and the size at which refined poses
     explain the volumes best, for people who never stand upright."""
-    marker_set: str = "markers_20"
+    marker_set: NameOrFile = "markers_20"
     """Where markers sit: a set that comes with the package, or a file (docs/markers.md)."""
     marker_offsets: Literal["fit", "given"] = "fit"
     """Fit marker offsets and segment lengths to the person, or take them as the set and the body give them."""
@@ -128,7 +134,7 @@ class PoseConfig(_Section):
     survival_rate: float = Field(default=0.5, gt=0, lt=1)
     """Target ESS / N of every layer. Source: CF 3.2.2."""
     resampling: Literal["systematic", "stratified", "multinomial", "residual", "weighted"] = "systematic"
-    hierarchy: str = "model2"
+    hierarchy: NameOrFile = "model2"
     """Scalable body of shbm-apf and shbm-ddma-pf: `model1` (straight limbs first) or `model2` (proximal parts first),
     each also as `_printed`, or a TOML file. Source: CF 7.3.2."""
     level_particles: tuple[Annotated[int, Field(ge=2)], ...] = ()
@@ -139,7 +145,7 @@ class PoseConfig(_Section):
     """Factor on the noise covariance from model to model. Source: CF 7.5.1."""
     crossing: Literal["direct", "mirror", "random"] = "mirror"
     """Who gives columns to whom between models, by rank: best with best, mostly, or by chance. Source: CF 7.3.2.3."""
-    limbs: str = "limbs"
+    limbs: NameOrFile = "limbs"
     """Limbs that ddma-pf and shbm-ddma-pf may drop: `limbs` (a leg may end at the knee), `whole_limbs`, a TOML file."""
     limb_evidence: Literal["published", "own"] = "published"
     """A limb's data: all occupied voxels its flesh lies in (CF 7.4.2), or only those that no other part holds."""
@@ -241,6 +247,14 @@ class Config(_Section):
     markers: MarkersConfig = MarkersConfig()
     output: OutputConfig = OutputConfig()
 
+    def only(self, sections: Sequence[str]) -> Config:
+        """The same with some of its sections: to read another one is an AttributeError."""
+        shown = self.model_copy()
+        for name in type(self).model_fields:
+            if name not in sections:
+                del shown.__dict__[name]
+        return shown
+
     def body_model(self, observation: Literal["voxels", "markers"]) -> str:
         """Name or file of the body that poses are found with from voxels or markers."""
         if self.body.model != "auto":
@@ -250,6 +264,12 @@ class Config(_Section):
 
 
 _PRESETS = resources.files("mocap") / "presets"
+
+
+def named_files(section: BaseModel) -> list[str]:
+    """Values of the settings of a section that may be paths."""
+    fields = type(section).model_fields
+    return [getattr(section, name) for name in fields if _NAMES_FILE in fields[name].metadata]
 
 
 def presets() -> tuple[str, ...]:

@@ -15,11 +15,13 @@ from mocap.io.store import StageStore
 from mocap.pipeline.chains import UNTIL, observation_kind, stages_until
 from mocap.pipeline.checks import check_config, check_writable
 from mocap.pipeline.config import Config, load_config
-from mocap.pipeline.keys import code_hash, stage_keys
+from mocap.pipeline.inputs import FileHashes
+from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.outputs import write_exports, write_tables
 from mocap.pipeline.products import poses as poses_product
 from mocap.pipeline.products.poses import stored_poses
 from mocap.pipeline.publish import published
+from mocap.pipeline.reach import code_hash
 from mocap.pipeline.record import (
     OUTPUTS,
     Found,
@@ -77,7 +79,10 @@ def run_session(
         n_threads=n_threads or min(2, os.cpu_count() or 1),
         progress=progress or no_progress,
     )
-    keys = stage_keys(session, config, seed, kind)
+    # Only who resumes trusts what an earlier run remembers of the input files.
+    hashes = FileHashes(job.store.path / ".inputs.json", is_trusted=resume)
+    keys = stage_keys(session, config, seed, kind, hashes)
+    hashes.keep()
     steps = [
         _reuse_or_compute(stage, replace(job, key=keys[stage.name]), resume=resume)
         for stage in stages_until(kind, until)

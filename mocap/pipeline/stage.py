@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,14 +17,11 @@ from numpy.typing import NDArray
 from mocap.data import Hull
 from mocap.io.session import Session
 from mocap.io.store import StageStore, StageWriter
-from mocap.io.video import FrameReader, MaskReader
+from mocap.io.video import FrameReader
 from mocap.pipeline.config import Config
-from mocap.products import hulls, masks
 
 Progress = Callable[[str, int, int], None]
 Arrays = Mapping[str, NDArray[Any]]
-# What a step may be shown of a frame.
-PICTURES, GIVEN_MASKS, MASKS, HULLS = "pictures", "given masks", "masks", "hulls"
 
 
 def no_progress(stage: str, done: int, total: int) -> None:
@@ -62,9 +59,9 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One frame as a step is shown it: only what the work `reads`.
+    """One frame as a step is shown it: only what its work reads.
 
-    index : place in the clip.  pictures : (H, W, 3) uint8 BGR of every camera.  masks : (H, W) bool of every camera.
+    index : place in the clip.  pictures : (H, W, 3) uint8 RGB of every camera.  masks : (H, W) bool of every camera.
     """
 
     index: int
@@ -96,14 +93,18 @@ class Ending:
     again: Any = None
 
 
+Sources = Mapping[str, Iterable[tuple[int, Any]]]
+
+
 @dataclass(frozen=True)
 class FrameWork:
     """A stage as steps over frames, with everything that it remembers in a state.
 
-    reads : what a step is shown, by session.  step : gives the rows that are certain by now, of this frame or earlier.
+    reads : what a step is shown: field of `Seen` -> (frame, value) in order; opened and closed by the loop.
+    step : gives the rows that are certain by now, of this frame or earlier.
     """
 
-    reads: Callable[[Session], tuple[str, ...]]
+    reads: Callable[[Job], Sources]
     start: Callable[[Job], Any]
     step: Callable[[Any, Seen], tuple[Any, Sequence[Row]]]
     finish: Callable[[Any], Ending]
@@ -135,6 +136,11 @@ class Stage:
     facts: tuple[str, ...] = ()
     is_random: Callable[[Config], bool] = lambda config: False
 
+    @property
+    def module(self) -> str:
+        """Where the work is written: its imports are the code that can change a result."""
+        return (self.work.run if isinstance(self.work, ClipWork) else self.work.step).__module__
+
 
 def is_done(stage: Stage, store: StageStore, key: str) -> bool:
     """Whether every product of the stage is complete under this very key."""
@@ -142,7 +148,8 @@ def is_done(stage: Stage, store: StageStore, key: str) -> bool:
 
 
 def run_stage(stage: Stage, job: Job) -> None:
-    """Compute the products of a stage into the store."""
+    """Compute the products of a stage into the store; of the configuration it is shown what its key holds."""
+    job = replace(job, config=job.config.only(stage.sections))
     if isinstance(stage.work, ClipWork):
         stage.work.run(job)
         return
@@ -157,7 +164,7 @@ def _walk(stage: Stage, work: FrameWork, state: Any, job: Job) -> Any:
     n = len(job.session.frames)
     with ExitStack() as stack:
         out = {product: stack.enter_context(job.writer(product)) for product in stage.products}
-        for seen in stack.enter_context(_frames(work.reads(job.session), job)):
+        for seen in _frames(job, work.reads(job), stack):
             state, rows = work.step(state, seen)
             _append(out, rows)
             job.progress(stage.name, seen.index + 1, n)
@@ -177,32 +184,16 @@ def _append(out: Mapping[str, StageWriter], rows: Sequence[Row]) -> None:
         out[row.product].append(row.frame, **row.arrays)
 
 
-@contextmanager
-def _frames(reads: tuple[str, ...], job: Job) -> Iterator[Iterator[Seen]]:
+def _frames(job: Job, sources: Sources, stack: ExitStack) -> Iterator[Seen]:
     """The frames of the session in order, with what is read of them; every source is opened once."""
-    session, store = job.session, job.store
-    with ExitStack() as stack:
-        pictures = given = seen_masks = seen_hulls = None
-        if PICTURES in reads:
-            pictures = iter(
-                stack.enter_context(FrameReader(session.image_sources, session.rig, session.frames))
-            )
-        if GIVEN_MASKS in reads:
-            given = iter(stack.enter_context(MaskReader(session.mask_sources, session.rig, session.frames)))
-        if MASKS in reads:
-            seen_masks = masks.read_masks(store, session)
-        if HULLS in reads:
-            seen_hulls = hulls.read_hulls(store)
+    for source in sources.values():
+        if isinstance(source, AbstractContextManager):
+            stack.enter_context(source)
+    values = {name: iter(source) for name, source in sources.items()}
+    for i, frame in enumerate(job.session.frames):
+        yield Seen(i, frame, **{name: next(rows)[1] for name, rows in values.items()})
 
-        def frames() -> Iterator[Seen]:
-            for i, frame in enumerate(session.frames):
-                shown = given or seen_masks
-                yield Seen(
-                    i,
-                    frame,
-                    pictures=next(pictures)[1] if pictures is not None else None,
-                    masks=next(shown)[1] if shown is not None else None,
-                    hull=next(seen_hulls)[1] if seen_hulls is not None else None,
-                )
 
-        yield frames()
+def pictures_of(session: Session) -> FrameReader:
+    """The pictures of all cameras, frame by frame."""
+    return FrameReader(session.image_sources, session.rig, session.frames)

@@ -19,7 +19,7 @@ import mocap
 from mocap.errors import MocapError
 from mocap.pipeline.cluster import Engine, Job, Outcome, Standing, engine, run_jobs
 from mocap.pipeline.cluster.tables import Row, write_tables
-from mocap.pipeline.keys import code_hash
+from mocap.pipeline.reach import code_hash
 
 ROOT = Path(mocap.__file__).resolve().parents[1]
 HERE = Engine(n_workers=0)

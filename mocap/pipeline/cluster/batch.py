@@ -14,7 +14,8 @@ from mocap.pipeline.cluster.spec import session_names
 from mocap.pipeline.cluster.sweep import SweepResult, summary_of, truth_hash
 from mocap.pipeline.cluster.tables import Row, write_tables
 from mocap.pipeline.config import Config, config_hash, load_config, presets
-from mocap.pipeline.keys import code_hash, stage_keys
+from mocap.pipeline.keys import stage_keys
+from mocap.pipeline.reach import code_hash
 from mocap.pipeline.run import run_session
 
 _PARTS = ("session.toml", "videos", "images", "masks", "detections")

@@ -144,7 +144,7 @@ def run_jobs(
 
 def attempt(work: Work, parameters: dict[str, Any], code: str, *needs: Outcome) -> Outcome:
     """One job where it runs: every exception becomes an outcome, so that it stops neither worker nor sweep."""
-    from mocap.pipeline.keys import code_hash
+    from mocap.pipeline.reach import code_hash
 
     for need in needs:
         if not need.is_done:

@@ -25,7 +25,8 @@ from mocap.pipeline.cluster.engine import Engine, Job, Outcome, Progress, run_jo
 from mocap.pipeline.cluster.spec import SweepCell, SweepSpec, plan_cells, session_names
 from mocap.pipeline.cluster.tables import Row, write_tables
 from mocap.pipeline.config import Config, config_hash, load_config
-from mocap.pipeline.keys import code_hash, stage_keys
+from mocap.pipeline.keys import stage_keys
+from mocap.pipeline.reach import code_hash
 from mocap.pipeline.run import run_session
 
 _TRUTH_FILES = ("landmarks.csv", "tracks.csv", "voxels.npz")

@@ -13,8 +13,19 @@ from mocap.errors import MocapError
 from mocap.foreground.pixels import sample_silhouettes
 from mocap.io.session import Session
 from mocap.pipeline.config import Config
-from mocap.pipeline.stage import MASKS, PICTURES, Ending, FrameWork, Job, Row, Seen, Stage, StageReport
+from mocap.pipeline.stage import (
+    Ending,
+    FrameWork,
+    Job,
+    Row,
+    Seen,
+    Sources,
+    Stage,
+    StageReport,
+    pictures_of,
+)
 from mocap.products.hulls import PRODUCT, hull_attrs, hull_row, stored_faults, stored_grid
+from mocap.products.masks import read_masks
 from mocap.volume import (
     CameraFault,
     Carver,
@@ -116,8 +127,9 @@ class _Walk:
     faults: tuple[CameraFault, ...] = ()
 
 
-def _reads(session: Session) -> tuple[str, ...]:
-    return (MASKS, PICTURES) if session.image_sources else (MASKS,)
+def _reads(job: Job) -> Sources:
+    masks: Sources = {"masks": read_masks(job.store, job.session)}
+    return {**masks, "pictures": pictures_of(job.session)} if job.session.image_sources else masks
 
 
 def _start(job: Job) -> _Walk:

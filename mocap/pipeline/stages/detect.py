@@ -20,7 +20,17 @@ from mocap.io.detections import LABELS_FILE, read_detections, read_marker_labels
 from mocap.io.session import Session
 from mocap.io.video import FrameReader
 from mocap.pipeline.config import MarkersConfig
-from mocap.pipeline.stage import PICTURES, Ending, FrameWork, Job, Row, Seen, Stage, StageReport
+from mocap.pipeline.stage import (
+    Ending,
+    FrameWork,
+    Job,
+    Row,
+    Seen,
+    Sources,
+    Stage,
+    StageReport,
+    pictures_of,
+)
 from mocap.products.detections import PRODUCT, detection_row
 
 _FEW_DETECTIONS = 4.0  # per picture, on average: less is no marker set
@@ -42,8 +52,8 @@ class _Detecting:
     colour: MarkerColour | None = None
 
 
-def _reads(session: Session) -> tuple[str, ...]:
-    return () if session.detection_sources else (PICTURES,)
+def _reads(job: Job) -> Sources:
+    return {} if job.session.detection_sources else {"pictures": pictures_of(job.session)}
 
 
 def _start(job: Job) -> _Detecting:

@@ -25,18 +25,18 @@ from mocap.foreground import (
 from mocap.foreground.quality import Triple
 from mocap.io.session import Session
 from mocap.io.store import StageStore
-from mocap.io.video import iter_clip
+from mocap.io.video import MaskReader, iter_clip
 from mocap.pipeline.config import SegmentationConfig
 from mocap.pipeline.stage import (
-    GIVEN_MASKS,
-    PICTURES,
     Ending,
     FrameWork,
     Job,
     Row,
     Seen,
+    Sources,
     Stage,
     StageReport,
+    pictures_of,
 )
 from mocap.products.masks import PRODUCT, mask_row, masks_from_arrays
 
@@ -105,8 +105,11 @@ class _Segmenting:
     each: Callable[..., Iterable[Any]]
 
 
-def _reads(session: Session) -> tuple[str, ...]:
-    return (GIVEN_MASKS,) if session.mask_sources else (PICTURES,)
+def _reads(job: Job) -> Sources:
+    session = job.session
+    if session.mask_sources:
+        return {"masks": MaskReader(session.mask_sources, session.rig, session.frames)}
+    return {"pictures": pictures_of(session)}
 
 
 def _start(job: Job) -> _Segmenting:
@@ -225,5 +228,5 @@ SEGMENT = Stage(
     work=FrameWork(_reads, _start, _step, _finish),
     report=segment_report,
     sections=("segmentation",),
-    facts=("fps",),
+    facts=("fps", "roi_px"),
 )

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.errors import MocapError
-from mocap.io.session import Session
 from mocap.pipeline.rng import rng_for
-from mocap.pipeline.stage import HULLS, Ending, FrameWork, Job, Row, Seen, Stage, StageReport
+from mocap.pipeline.stage import Ending, FrameWork, Job, Row, Seen, Sources, Stage, StageReport
 from mocap.pipeline.tracking import tracker_input, tracker_settings
 from mocap.products import owners as owners_product
 from mocap.products import tracks as tracks_product
-from mocap.products.hulls import stored_grid
+from mocap.products.hulls import read_hulls, stored_grid
 from mocap.products.owners import owner_row
 from mocap.products.tracks import stored_tracks, track_row
 from mocap.tracking import Track, TrackerSettings, TrackerState, slim, track_step, tracks_from_history
@@ -34,8 +33,8 @@ class _Tracking:
     owners: _Owners
 
 
-def _reads(session: Session) -> tuple[str, ...]:
-    return (HULLS,)
+def _reads(job: Job) -> Sources:
+    return {"hull": read_hulls(job.store)}
 
 
 def _start(job: Job) -> _Tracking:
