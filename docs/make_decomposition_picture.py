@@ -19,7 +19,7 @@ from mocap.body import load_body_model, scale_body
 from mocap.data import StateLayout
 from mocap.filters import FILTERS, FilterBudget, filter_settings, initial_particles
 from mocap.filters.parts import part_sets
-from mocap.view.plots import LINE_COLOURS, LINE_STYLES
+from mocap.view.plotting import LINE_COLOURS, LINE_STYLES
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap.compare.plots import plot_epsilon, plot_reliability
 from mocap.data import LANDMARKS, Motion
 from mocap.metrics import (
     angle_differences,
@@ -19,7 +20,6 @@ from mocap.metrics import (
     point_errors,
     reliability,
 )
-from mocap.view.eval_plots import plot_epsilon, plot_reliability
 
 PICTURES = Path(__file__).with_name("pictures")
 STANDING = {

@@ -144,7 +144,7 @@ def _picture(rows: Sequence[dict[str, str | int | float]]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from mocap.view.plots import LINE_COLOURS, LINE_STYLES
+    from mocap.view.plotting import LINE_COLOURS, LINE_STYLES
 
     figure = Figure(figsize=(8.4, 3.4), dpi=100, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)

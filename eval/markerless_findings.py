@@ -151,7 +151,7 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from mocap.view.plots import LINE_COLOURS
+    from mocap.view.plotting import LINE_COLOURS
 
     findings = list(dict.fromkeys(r["finding"] for r in rows))
     figure = Figure(figsize=(11, 6.2), layout="constrained")

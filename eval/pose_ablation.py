@@ -66,10 +66,10 @@ def prepare(name: str, work: Path, *, trust_store: bool) -> tuple[Path, Path]:
 
 def measure(folder: Path, out: Path, settings: tuple[str, ...], seed: int) -> dict[str, Any]:
     """Scores of one variant and seed."""
+    from mocap.compare import evaluate
     from mocap.io.session import open_session
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
-    from mocap.metrics import evaluate
     from mocap.pipeline.config import load_config
     from mocap.pipeline.products.poses import motion_of
     from mocap.pipeline.stages.pose import estimate_poses

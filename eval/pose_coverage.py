@@ -89,11 +89,11 @@ def claims_of(name: str, seed: int, work: Path, *, again: bool) -> Claims:
 
 def _measured(name: str, seed: int, work: Path) -> dict[str, Any]:
     from mocap.body import landmarks_of
+    from mocap.compare import associate_persons
     from mocap.data import Motion, Tracks
     from mocap.io.session import open_session
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
-    from mocap.metrics import associate_persons
     from mocap.pipeline.config import load_config
     from mocap.pipeline.estimate import landmark_misfit
     from mocap.pipeline.stages.pose import estimate_poses
@@ -137,8 +137,7 @@ def _measured(name: str, seed: int, work: Path) -> dict[str, Any]:
 
 def row_of(claims: Claims, which: str) -> dict[str, Any]:
     """Scores of one run as a flat row."""
-    from mocap.metrics import coverage_scores
-    from mocap.metrics.evaluate import lost_wrist_percent
+    from mocap.metrics import coverage_scores, lost_wrist_percent
     from mocap.metrics.smoothness import smoothness_scores
     from mocap.metrics.uncertainty import reliability
 

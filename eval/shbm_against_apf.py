@@ -104,7 +104,7 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from mocap.view.plots import LINE_COLOURS
+    from mocap.view.plotting import LINE_COLOURS
 
     names = list(dict.fromkeys(r["filter"] for r in rows))
     clips = list(dict.fromkeys((r["scene"], r["masks"]) for r in rows))

@@ -47,7 +47,7 @@ _HOMES = {
     "estimate_height": "mocap.pipeline.pose",
     "follow_person": "mocap.pipeline.pose",
     "make_tools": "mocap.pipeline.pose_problem",
-    "evaluate": "mocap.metrics",
+    "evaluate": "mocap.compare",
     # the whole
     "Config": "mocap.pipeline.config",
     "RunResult": "mocap.pipeline.record",

@@ -459,9 +459,9 @@ def evaluate(
     ] = 0.2,
 ) -> None:
     """Score a run, or poses of another tool, against a truth."""
+    from mocap.compare import CompareOptions, compare, write_page
     from mocap.io.poses import SideMap
     from mocap.io.units import AXES, UNITS
-    from mocap.pipeline.comparison import CompareOptions, compare, write_page
 
     for option, value, known in (
         ("--estimate-unit", estimate_unit, UNITS),

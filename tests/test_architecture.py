@@ -22,15 +22,28 @@ ARROWS: dict[str, frozenset[str]] = {
     **{stage: frozenset({"data", "geometry"}) for stage in STAGES},
     "likelihood": frozenset({"data", "geometry", "body"}),
     "io": frozenset({"data", "geometry"}),
-    "view": frozenset({"data", "geometry"}),
+    "view": frozenset({"data", "geometry", "metrics"}),
     "products": frozenset({"data", "io", "volume"}),
-    "pipeline": frozenset({"data", "geometry", "io", "products", "view", *STAGES}),
+    # `mocap eval`; a run is scored by it too.
+    "compare": frozenset({"data", "geometry", "io", "metrics", "products", "view"}),
+    "pipeline": frozenset({"data", "geometry", "io", "products", "view", "compare", *STAGES}),
     # The 2D world on which the sources compare filters, apart from the product's rooms.
     "polygons": frozenset({"data"}),
     # Synthetic sessions with exact truth: of the product's rooms it needs the containers and the file formats.
     "synth": frozenset({"data", "io", "polygons"}),
     "cli": frozenset(
-        {"data", "geometry", "io", "view", "pipeline", "synth", "cli_cluster", "cli_tools", *STAGES}
+        {
+            "data",
+            "geometry",
+            "io",
+            "view",
+            "compare",
+            "pipeline",
+            "synth",
+            "cli_cluster",
+            "cli_tools",
+            *STAGES,
+        }
     ),
     # Commands that have a file of their own.
     "cli_cluster": frozenset({"pipeline", "cli"}),
@@ -280,5 +293,5 @@ def test_a_right_arrow_is_let_through(where: str, text: str) -> None:
 
 def test_stages_have_tests() -> None:
     """tests/ mirrors the packages of mocap."""
-    for package in ("geometry", "data", "io", "view", "synth", *STAGES):
+    for package in ("geometry", "data", "io", "view", "compare", "synth", *STAGES):
         assert list((ROOT / "tests" / package).glob("test_*.py")), f"tests/{package} is empty"

@@ -1,9 +1,7 @@
-"""Scores against the truth: points, angles, tracking, volume, uncertainty, and all of them at once."""
+"""Measures of estimates against the truth: points, angles, tracking, volume, uncertainty; and their catalogue."""
 
 from mocap.metrics.alignment import procrustes_aligned, root_aligned
 from mocap.metrics.angles import ANGLES, AngleScores, angle_differences, angle_scores, joint_angles
-from mocap.metrics.detail import Action, Pair, detailed_scores, matched_pairs
-from mocap.metrics.evaluate import associate_persons, evaluate, length_unit
 from mocap.metrics.image import image_scores
 from mocap.metrics.limbs import LimbScores, limb_scores, share_in_hull
 from mocap.metrics.points import (
@@ -31,13 +29,11 @@ from mocap.metrics.volume import VolumeScores, sum_volume_scores, volume_scores
 
 __all__ = [
     "ANGLES",
-    "Action",
     "AngleScores",
     "CoverageScores",
     "EpsilonSearch",
     "IdentityScores",
     "LimbScores",
-    "Pair",
     "PointScores",
     "QuantileLine",
     "ReferenceFit",
@@ -47,22 +43,17 @@ __all__ = [
     "VolumeScores",
     "angle_differences",
     "angle_scores",
-    "associate_persons",
     "coverage_scores",
-    "detailed_scores",
     "epsilon_lilliefors",
     "epsilon_qq",
     "epsilon_search",
-    "evaluate",
     "fit_reference_skeleton",
     "identity_scores",
     "image_scores",
     "joint_angles",
     "landmark_offsets",
-    "length_unit",
     "limb_scores",
     "lost_wrist_percent",
-    "matched_pairs",
     "offset_corrected",
     "pck_auc_percent",
     "pck_percent",

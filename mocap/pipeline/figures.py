@@ -147,7 +147,7 @@ def silhouette_numbers(record: RunRecord, found: Found) -> dict[str, dict[str, f
 
 def errors_by_person(found: Found, truth_dir: Path) -> dict[int, tuple[NDArray[np.int64], Array]]:
     """Frames (T,) and landmark errors (T, 15) mm of every estimated person that the truth knows."""
-    from mocap.metrics import associate_persons
+    from mocap.compare import associate_persons
 
     truth = read_landmarks_csv(truth_dir / "landmarks.csv")
     errors = {}

@@ -8,7 +8,7 @@ from pathlib import Path
 from mocap.pipeline.figures import run_figures, silhouette_numbers
 from mocap.pipeline.panels import frame_panels
 from mocap.pipeline.record import OUTPUTS, RunRecord, RunResult
-from mocap.view import SCORES, ReportData, write_report
+from mocap.view import REPORT_SCORES, ReportData, write_report
 
 OUTPUT_WORDS = {
     "run.json": "configuration, versions, seed, timings and warnings of this run",
@@ -56,7 +56,7 @@ def write_run_report(result: RunResult, folder: Path) -> None:
         fps=session.fps,
         warnings=record.warnings,
         summary=tuple(summary),
-        scores={k: scores[k] for k in SCORES if k in scores} or None,
+        scores={k: scores[k] for k in REPORT_SCORES if k in scores} or None,
         per_landmark_mm=scores.get("per_landmark_mm"),
         timings={
             stage: (seconds, 1000.0 * seconds / n)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from mocap.compare import score_run
 from mocap.io._files import atomic_text
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
@@ -32,7 +33,6 @@ from mocap.pipeline.record import (
     versions,
 )
 from mocap.pipeline.report_data import write_run_report
-from mocap.pipeline.scoring import score_run
 from mocap.pipeline.stage import Job, Progress, Stage, StageReport, is_done, no_progress, run_stage
 from mocap.portable import peak_memory_mb
 from mocap.products import tracks as tracks_product

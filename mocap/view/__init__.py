@@ -1,5 +1,6 @@
 """What a person looks at to judge a run: overlays, plots, a 3D scene and the report."""
 
+from mocap.view.html import Figure
 from mocap.view.overlay import (
     SIDE_COLOURS,
     BodyPart,
@@ -25,11 +26,11 @@ from mocap.view.plots import (
     plot_stage_timing,
     plot_track_map,
 )
-from mocap.view.report import SCORES, Figure, FramePanel, ReportData, write_report
+from mocap.view.report import REPORT_SCORES, FramePanel, ReportData, write_report
 from mocap.view.scene import SceneFrame, write_rrd
 
 __all__ = [
-    "SCORES",
+    "REPORT_SCORES",
     "SIDE_COLOURS",
     "BodyPart",
     "Figure",

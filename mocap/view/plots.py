@@ -1,32 +1,33 @@
-"""Plots of a run as PNG bytes.
-
-matplotlib is imported when the first plot is made, and used through its objects only (`Figure` with an Agg
-canvas): no window, no global state, safe in threads. Colours are told apart with every common colour vision,
-and lines also differ in style, so that a grey print stays readable.
-"""
+"""Plots of a run as PNG bytes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS, CameraRig, Tracks
-from mocap.view.overlay import SIDE_COLOURS, Colour, person_colour, side_of_landmark
+from mocap.view.overlay import SIDE_COLOURS, person_colour, side_of_landmark
+from mocap.view.plotting import (
+    FAINT,
+    INK,
+    LINE_COLOURS,
+    empty,
+    finish,
+    hex_colour,
+    line_style,
+    marker_of,
+    new_figure,
+    note,
+    png,
+    words,
+)
 
 Array = NDArray[np.float64]
 Frames = NDArray[np.integer]
-
-LINE_COLOURS: tuple[str, ...] = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555")
-LINE_STYLES: tuple[str, ...] = ("-", "--", ":", "-.")
-_INK = "#22262b"
-_FAINT = "#d9dde2"
-_DPI = 120
-_MAX_LEGEND = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,33 +56,38 @@ def plot_error_over_time(
     errors_mm : person -> (frames (T,), errors (T, M) mm); NaN = not scored. No persons give an empty plot.
     The landmark that is worst most often is named.
     """
-    figure, axes = _figure(max(1, len(errors_mm)), height=2.5)
+    figure, axes = new_figure(max(1, len(errors_mm)), height=2.5)
     for ax, (person, (frames, errors)) in zip(axes, errors_mm.items(), strict=False):
         mean, worst = _row_statistic(errors, np.mean), _row_statistic(errors, np.max)
         ax.plot(
             frames,
             worst,
-            marker=_marker(frames),
+            marker=marker_of(frames),
             color=LINE_COLOURS[1],
             lw=1.1,
             ls="--",
             label="worst landmark",
         )
         ax.plot(
-            frames, mean, marker=_marker(frames), color=LINE_COLOURS[0], lw=2.0, label="mean of all landmarks"
+            frames,
+            mean,
+            marker=marker_of(frames),
+            color=LINE_COLOURS[0],
+            lw=2.0,
+            label="mean of all landmarks",
         )
-        ax.axhline(epsilon_mm, color=_INK, lw=1.0, ls=":", label=f"epsilon = {epsilon_mm:g} mm")
+        ax.axhline(epsilon_mm, color=INK, lw=1.0, ls=":", label=f"epsilon = {epsilon_mm:g} mm")
         ax.set_ylim(0, 1.08 * max(epsilon_mm, float(np.nanmax(worst)) if np.isfinite(worst).any() else 0))
         known = np.isfinite(errors).any(axis=1)
         title = f"Person {person}"
         if known.any():
             often = np.bincount(np.nanargmax(errors[known], axis=1), minlength=errors.shape[1])
-            title += f" (worst most often: {_words(names[int(np.argmax(often))])})"
-        _finish(ax, title, "", "error (mm)", legend=True)
+            title += f" (worst most often: {words(names[int(np.argmax(often))])})"
+        finish(ax, title, "", "error (mm)", legend=True)
     if not errors_mm:
-        _empty(axes[0], "no truth to compare with")
+        empty(axes[0], "no truth to compare with")
     axes[-1].set_xlabel("frame")
-    return _png(figure)
+    return png(figure)
 
 
 def plot_landmark_errors(
@@ -91,34 +97,34 @@ def plot_landmark_errors(
 
     mean_mm, std_mm : landmark name -> mm; NaN = never scored.
     """
-    figure, (ax,) = _figure(1, height=0.6 + 0.27 * max(4, len(mean_mm)))
+    figure, (ax,) = new_figure(1, height=0.6 + 0.27 * max(4, len(mean_mm)))
     values = [float(v) if v is not None else np.nan for v in mean_mm.values()]
     place = np.arange(len(values))
     spread = None if std_mm is None else [std_mm.get(name, 0.0) or 0.0 for name in mean_mm]
-    colours = [_hex(SIDE_COLOURS[side_of_landmark(name)]) for name in mean_mm]
+    colours = [hex_colour(SIDE_COLOURS[side_of_landmark(name)]) for name in mean_mm]
     if values:
         ax.barh(
-            place, np.nan_to_num(values), xerr=spread, color=colours, edgecolor=_INK, lw=0.6, height=0.72,
-            error_kw={"ecolor": _INK, "elinewidth": 0.9, "capsize": 2},
+            place, np.nan_to_num(values), xerr=spread, color=colours, edgecolor=INK, lw=0.6, height=0.72,
+            error_kw={"ecolor": INK, "elinewidth": 0.9, "capsize": 2},
         )  # fmt: skip
         for y, value in zip(place, values, strict=True):
             text = f"{value:.0f}" if np.isfinite(value) else "not scored"
             plate = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8}
-            _note(ax, text, (0, y), (5, -3), bbox=plate)
-        ax.axvline(epsilon_mm, color=_INK, lw=1.0, ls=":")
-        _note(ax, f"epsilon = {epsilon_mm:g}", (epsilon_mm, -0.5), (3, 2))
+            note(ax, text, (0, y), (5, -3), bbox=plate)
+        ax.axvline(epsilon_mm, color=INK, lw=1.0, ls=":")
+        note(ax, f"epsilon = {epsilon_mm:g}", (epsilon_mm, -0.5), (3, 2))
     else:
-        _empty(ax, "no truth to compare with")
-    ax.set_yticks(place, [_words(name) for name in mean_mm])
+        empty(ax, "no truth to compare with")
+    ax.set_yticks(place, [words(name) for name in mean_mm])
     ax.invert_yaxis()
-    _finish(
+    finish(
         ax,
         "",
         "mean error (mm); whisker: one standard deviation" if std_mm else "mean error (mm)",
         "",
         grid="x",
     )
-    return _png(figure)
+    return png(figure)
 
 
 def plot_track_map(
@@ -133,7 +139,7 @@ def plot_track_map(
     tracks, truth : world frame; None or empty draws no path.  bounds_m : lower and upper corner of the room.
     White dots on a path: the person was out of sight there.
     """
-    figure, (ax,) = _figure(1, height=5.2, width=7.2)
+    figure, (ax,) = new_figure(1, height=5.2, width=7.2)
     centers = np.array([camera.center for camera in rig])
     for camera in rig:
         w, h = camera.size
@@ -142,8 +148,8 @@ def plot_track_map(
         corner = camera.center[:2]
         wedge = np.vstack([corner, corner + edge[0], corner + edge[1]])
         ax.fill(wedge[:, 0], wedge[:, 1], facecolor="#aab4bf", alpha=0.45, lw=0)
-        ax.plot(*corner, "s", color=_INK, ms=5)
-        _note(ax, camera.name, corner, (5, 5))
+        ax.plot(*corner, "s", color=INK, ms=5)
+        note(ax, camera.name, corner, (5, 5))
     corners = [centers[:, :2]]
     if bounds_m is not None:
         (x0, y0), (x1, y1) = (np.asarray(b, dtype=np.float64)[:2] for b in bounds_m)
@@ -153,7 +159,7 @@ def plot_track_map(
         if table is None or len(table) == 0:
             continue
         for person in table.persons:
-            colour = _hex(person_colour(person)) if kind == "person" else _INK
+            colour = hex_colour(person_colour(person)) if kind == "person" else INK
             width = 2.2 if kind == "person" else 1.0
             label: str | None = f"{kind} {person}"
             for piece in table.paths(person):
@@ -161,8 +167,8 @@ def plot_track_map(
                 ax.plot(path[:, 0], path[:, 1], style, color=colour, lw=width, label=label)
                 label = None  # one entry in the legend, also of who comes back
                 if kind == "person":
-                    ax.plot(*path[0], "o", color=colour, mec=_INK, ms=7)
-                    ax.plot(*path[-1], "D", color=colour, mec=_INK, ms=6)
+                    ax.plot(*path[0], "o", color=colour, mec=INK, ms=7)
+                    ax.plot(*path[-1], "D", color=colour, mec=INK, ms=6)
                     if piece.observed is not None and not piece.observed.all():
                         hidden = np.where(piece.observed[:, None], np.nan, path)
                         ax.plot(hidden[:, 0], hidden[:, 1], ".", color="white", ms=3, zorder=5)
@@ -175,8 +181,8 @@ def plot_track_map(
     title = ""
     if tracks is not None and len(tracks):
         title = "Seen from above; circle = start, diamond = end, white dots = out of sight"
-    _finish(ax, title, "x (m)", "y (m)", grid="both", legend=True)
-    return _png(figure)
+    finish(ax, title, "x (m)", "y (m)", grid="both", legend=True)
+    return png(figure)
 
 
 def plot_stage_timing(ms_per_frame: Mapping[str, float]) -> bytes:
@@ -185,22 +191,22 @@ def plot_stage_timing(ms_per_frame: Mapping[str, float]) -> bytes:
     ms_per_frame : stage -> ms, in the order of the pipeline; NaN and None are left out.
     """
     stages = {name: float(v) for name, v in ms_per_frame.items() if v is not None and np.isfinite(v)}
-    figure, (ax,) = _figure(1, height=0.9 + 0.34 * max(2, len(stages)))
+    figure, (ax,) = new_figure(1, height=0.9 + 0.34 * max(2, len(stages)))
     total = sum(stages.values())
     if stages:
         place = np.arange(len(stages))
         ax.barh(place, list(stages.values()), color=LINE_COLOURS[0], height=0.66)
         for y, value in zip(place, stages.values(), strict=True):
             share = f" ({100 * value / total:.0f} %)" if total > 0 else ""
-            _note(ax, f"{value:.1f}{share}", (value, y), (5, -3))
+            note(ax, f"{value:.1f}{share}", (value, y), (5, -3))
         ax.set_xlim(0, 1.2 * max(max(stages.values()), 1e-6))
-        ax.set_yticks(place, [_words(name) for name in stages])
+        ax.set_yticks(place, [words(name) for name in stages])
     else:
-        _empty(ax, "no stage was timed")
+        empty(ax, "no stage was timed")
     ax.invert_yaxis()
     speed = f"together {total:.1f} ms per frame = {1000 / total:.1f} frames/s" if total > 0 else ""
-    _finish(ax, speed, "milliseconds per frame", "", grid="x")
-    return _png(figure)
+    finish(ax, speed, "milliseconds per frame", "", grid="x")
+    return png(figure)
 
 
 def plot_foreground_share(frames: Frames, shares: Mapping[str, Array]) -> bytes:
@@ -209,14 +215,16 @@ def plot_foreground_share(frames: Frames, shares: Mapping[str, Array]) -> bytes:
     frames : (T,).  shares : camera -> (T,) 0..1. A camera far from the others, or one that jumps, has a
     background that no longer fits (moved camera, changed light).
     """
-    figure, (ax,) = _figure(1, height=2.8)
+    figure, (ax,) = new_figure(1, height=2.8)
     for i, (name, share) in enumerate(shares.items()):
-        ax.plot(frames, 100 * np.asarray(share), label=name, lw=1.4, marker=_marker(frames), **_line(i))
+        ax.plot(
+            frames, 100 * np.asarray(share), label=name, lw=1.4, marker=marker_of(frames), **line_style(i)
+        )
     if not shares:
-        _empty(ax, "no masks were made")
+        empty(ax, "no masks were made")
     ax.set_ylim(bottom=0)
-    _finish(ax, "", "frame", "foreground (% of picture)", legend=True)
-    return _png(figure)
+    finish(ax, "", "frame", "foreground (% of picture)", legend=True)
+    return png(figure)
 
 
 def plot_mask_quality(numbers: Mapping[str, Mapping[str, float | None]]) -> bytes:
@@ -225,7 +233,7 @@ def plot_mask_quality(numbers: Mapping[str, Mapping[str, float | None]]) -> byte
     numbers : camera -> `flicker`, `leakage`, `residual`, shares 0..1; None = not known.
     """
     kinds = {"flicker": "flicker", "leakage": "leakage", "residual": "outside the volume"}
-    figure, (ax,) = _figure(1, height=0.9 + 0.34 * max(2, len(numbers)))
+    figure, (ax,) = new_figure(1, height=0.9 + 0.34 * max(2, len(numbers)))
     place = np.arange(len(numbers))
     longest = 0.0
     for i, (key, label) in enumerate(kinds.items()):
@@ -234,13 +242,13 @@ def plot_mask_quality(numbers: Mapping[str, Mapping[str, float | None]]) -> byte
         longest = max([longest, *width])
         ax.barh(place + 0.26 * (i - 1), width, height=0.24, color=LINE_COLOURS[i], label=label)
     if not numbers:
-        _empty(ax, "no masks were made")
+        empty(ax, "no masks were made")
     ax.set_yticks(place, list(numbers))
     ax.invert_yaxis()
     # Good masks must not look bad because the axis ends at the worst of them.
     ax.set_xlim(0, max(5.0, 1.05 * longest))
-    _finish(ax, "", "% of the foreground", "", grid="x", legend=True)
-    return _png(figure)
+    finish(ax, "", "% of the foreground", "", grid="x", legend=True)
+    return png(figure)
 
 
 def plot_filter_health(health: Sequence[FilterHealth]) -> bytes:
@@ -248,9 +256,9 @@ def plot_filter_health(health: Sequence[FilterHealth]) -> bytes:
 
     A share of weighted particles that is low and falling says that the filter is losing the person.
     """
-    figure, axes = _figure(2, height=2.2)
+    figure, axes = new_figure(2, height=2.2)
     for item in health:
-        colour = _hex(person_colour(item.person))
+        colour = hex_colour(person_colour(item.person))
         for values, style, name in (
             (item.ess_share, "-", "ESS / N"),
             (item.survival_rate, ":", "survival rate"),
@@ -258,14 +266,20 @@ def plot_filter_health(health: Sequence[FilterHealth]) -> bytes:
             if values is not None:
                 label = f"{name}, person {item.person}"
                 axes[0].plot(
-                    item.frames, values, style, marker=_marker(item.frames), color=colour, lw=1.5, label=label
+                    item.frames,
+                    values,
+                    style,
+                    marker=marker_of(item.frames),
+                    color=colour,
+                    lw=1.5,
+                    label=label,
                 )
         if item.log_likelihood is not None:
             label = f"person {item.person}"
             axes[1].plot(
                 item.frames,
                 item.log_likelihood,
-                marker=_marker(item.frames),
+                marker=marker_of(item.frames),
                 color=colour,
                 lw=1.5,
                 label=label,
@@ -273,10 +287,10 @@ def plot_filter_health(health: Sequence[FilterHealth]) -> bytes:
     axes[0].set_ylim(0, 1.02)
     for ax in axes:
         if not ax.lines:
-            _empty(ax, "not recorded by this filter")
-    _finish(axes[0], "Particles that carry weight", "", "share", legend=True)
-    _finish(axes[1], "Log-likelihood of the estimate", "frame", "log-likelihood", legend=True)
-    return _png(figure)
+            empty(ax, "not recorded by this filter")
+    finish(axes[0], "Particles that carry weight", "", "share", legend=True)
+    finish(axes[1], "Log-likelihood of the estimate", "frame", "log-likelihood", legend=True)
+    return png(figure)
 
 
 def plot_joint_angles(
@@ -290,7 +304,7 @@ def plot_joint_angles(
     if angles.shape != (len(frames), len(names)):
         raise ValueError(f"angles_rad has shape {angles.shape}, expected {(len(frames), len(names))}")
     n_rows = max(1, -(-len(names) // n_columns))
-    figure, axes = _figure(n_rows, height=1.25, n_columns=n_columns)
+    figure, axes = new_figure(n_rows, height=1.25, n_columns=n_columns)
     finite = angles[np.isfinite(angles)]
     reach = 1.05 * float(np.abs(finite).max()) if finite.size else 90.0
     for i, ax in enumerate(axes):
@@ -298,95 +312,25 @@ def plot_joint_angles(
             ax.set_visible(False)
             continue
         side = side_of_landmark(names[i])
-        colour = _hex(SIDE_COLOURS[side]) if side != "middle" else _INK
-        ax.axhline(0, color=_FAINT, lw=0.9)
-        ax.plot(frames, angles[:, i], marker=_marker(frames), color=colour, lw=1.3)
+        colour = hex_colour(SIDE_COLOURS[side]) if side != "middle" else INK
+        ax.axhline(0, color=FAINT, lw=0.9)
+        ax.plot(frames, angles[:, i], marker=marker_of(frames), color=colour, lw=1.3)
         ax.set_ylim(-max(reach, 10), max(reach, 10))
         is_last = i + n_columns >= len(names)
-        _finish(
+        finish(
             ax,
-            _words(names[i]),
+            words(names[i]),
             "frame" if is_last else "",
             "degrees" if i % n_columns == 0 else "",
             small=True,
         )
     if not names:
         axes[0].set_visible(True)
-        _empty(axes[0], "no joint angles")
-    return _png(figure)
-
-
-def _figure(n_rows: int, *, height: float, width: float = 9.0, n_columns: int = 1) -> tuple[Any, list[Any]]:
-    """A white figure and its axes, row by row; height is inches per row."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(
-        figsize=(width, 0.35 + height * n_rows), dpi=_DPI, layout="constrained", facecolor="white"
-    )
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(n_rows, n_columns, squeeze=False)
-    return figure, list(axes.ravel())
-
-
-def _finish(
-    ax: Any, title: str, x: str, y: str, *, legend: bool = False, grid: str = "y", small: bool = False
-) -> None:
-    """The house style of one pair of axes: few lines, dark ink, a faint grid."""
-    size = 8 if small else 10
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        ax.spines[side].set_color("#8a939e")
-    ax.tick_params(labelsize=size - 1, colors=_INK, color="#8a939e", length=3)
-    ax.set_axisbelow(True)
-    ax.grid(axis=grid, color=_FAINT, lw=0.7)
-    if title:
-        ax.set_title(title, fontsize=size + 0.5, loc="left", color=_INK, fontweight="bold")
-    ax.set_xlabel(x, fontsize=size, color=_INK)
-    ax.set_ylabel(y, fontsize=size, color=_INK)
-    handles, labels = ax.get_legend_handles_labels()
-    if legend and handles:
-        columns = 1 if len(handles) <= _MAX_LEGEND else 2
-        ax.legend(handles[: 2 * _MAX_LEGEND], labels[: 2 * _MAX_LEGEND], fontsize=size - 1, ncols=columns,
-                  loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)  # fmt: skip
-
-
-def _note(ax: Any, text: str, at: Any, offset_pt: tuple[float, float], **style: Any) -> None:
-    ax.annotate(text, at, offset_pt, textcoords="offset points", fontsize=8.5, color=_INK, **style)
-
-
-def _marker(frames: Frames) -> str:
-    """A single instant has no line to see: mark its points."""
-    return "o" if len(frames) < 3 else ""
-
-
-def _empty(ax: Any, text: str) -> None:
-    ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", color="#6b7480", fontsize=11)
-    ax.set_xticks([])
-    ax.set_yticks([])
-
-
-def _line(i: int) -> dict[str, str]:
-    styles = LINE_STYLES[(i // len(LINE_COLOURS)) % len(LINE_STYLES)]
-    return {"color": LINE_COLOURS[i % len(LINE_COLOURS)], "ls": styles}
+        empty(axes[0], "no joint angles")
+    return png(figure)
 
 
 def _row_statistic(errors: Array, statistic: Any) -> Array:
     """Statistic of the finite errors of each row, NaN where a row has none."""
     rows = [row[np.isfinite(row)] for row in np.asarray(errors, dtype=np.float64)]
     return np.array([float(statistic(row)) if row.size else np.nan for row in rows])
-
-
-def _hex(colour: Colour) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)
-
-
-def _words(name: str) -> str:
-    return str(name).replace("_", " ")
-
-
-def _png(figure: Any) -> bytes:
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()

@@ -7,9 +7,6 @@ years. It is written for a person who knows neither this program nor its documen
 
 from __future__ import annotations
 
-import base64
-import html
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,11 +16,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.errors import MocapError
+from mocap.view.html import (
+    Figure,
+    PageSection,
+    Section,
+    data_uri,
+    escaped,
+    faint,
+    figures_html,
+    page_html,
+    plain_table,
+    score_cards,
+    score_table,
+    verdict_on_scores,
+    warning_list,
+    write_html,
+)
 from mocap.view.overlay import MASK_COLOUR, SIDE_COLOURS, Colour
 
 Image = NDArray[np.uint8]
-Section = Literal["accuracy", "silhouettes", "tracks", "timing", "other"]
 
 MAX_BYTES = 6_000_000
 
@@ -31,71 +42,27 @@ MAX_BYTES = 6_000_000
 _PICTURE_SIZES = ((640, 85), (560, 82), (480, 78), (400, 72), (320, 66), (240, 60), (160, 50))
 
 
-@dataclass(frozen=True)
-class Score:
-    """What a key of the scores means: name, unit and one line for a reader who never heard of it."""
-
-    name: str
-    unit: str
-    meaning: str
-
-
-SCORES: dict[str, Score] = {
-    "mean_error_mm": Score(
-        "Mean error",
-        "mm",
-        "Distance between estimated and true landmarks, averaged over landmarks and frames.",
-    ),
-    "std_error_mm": Score("Spread of the error", "mm", "Standard deviation of those distances."),
-    "mean_error_after_offset_mm": Score(
-        "Mean error after offsets",
-        "mm",
-        "The same after one constant offset per landmark (first 10 frames): bodies define joints differently.",
-    ),
-    "lost_wrist_percent": Score(
-        "Frames with a lost wrist", "%", "Frames in which a wrist lies more than 150 mm from the truth."
-    ),
-    "mmta_percent": Score(
-        "MMTA (accuracy)",
-        "%",
-        "Share of landmarks that lie within epsilon of the truth, i.e. how much was found. 100 % is perfect.",
-    ),
-    "mmtp_mm": Score(
-        "MMTP (precision)",
-        "mm",
-        "Mean error of only those landmarks that lie within epsilon, i.e. how precise what was found is.",
-    ),
-    "epsilon_mm": Score("Epsilon", "mm", "Distance up to which a landmark counts as found."),
-    "epsilon_opt_mm": Score(
-        "Natural epsilon",
-        "mm",
-        "The epsilon below which errors look like noise; beyond it limbs are lost rather than imprecise.",
-    ),
-    "angle_mean_deg": Score("Mean angle error", "deg", "Difference of joint angles on one common skeleton."),
-    "angle_std_deg": Score("Spread of the angle error", "deg", "Standard deviation of those differences."),
-    "mota_percent": Score(
-        "MOTA (tracking accuracy)",
-        "%",
-        "100 % minus the shares of missed persons, false persons and identity switches; can be negative.",
-    ),
-    "motp_mm": Score(
-        "MOTP (tracking precision)", "mm", "Mean distance between a track and the person it follows."
-    ),
-    "misses": Score("Misses", "", "Times that a person who was there had no track, summed over frames."),
-    "false_positives": Score(
-        "False positives", "", "Times that a track followed nobody, summed over frames."
-    ),
-    "mismatches": Score("Identity switches", "", "Times that a track jumped from one person to another."),
-    "volume_iou": Score(
-        "Volume overlap (IoU)", "", "Shared volume of hull and true body over their union; 1 is identical."
-    ),
-    "coverage_90_percent": Score(
-        "Honesty of the uncertainty",
-        "%",
-        "Share of true landmarks inside the stated 90 % region. 90 is honest, less is overconfident.",
-    ),
-    "frames": Score("Frames scored", "", "Frames in which estimate and truth could be compared."),
-}
+# Keys of the scores that a report shows, in its order.
+REPORT_SCORES = (
+    "mean_error_mm",
+    "std_error_mm",
+    "mean_error_after_offset_mm",
+    "lost_wrist_percent",
+    "mmta_percent",
+    "mmtp_mm",
+    "epsilon_mm",
+    "epsilon_opt_mm",
+    "angle_mean_deg",
+    "angle_std_deg",
+    "mota_percent",
+    "motp_mm",
+    "misses",
+    "false_positives",
+    "mismatches",
+    "volume_iou",
+    "coverage_90_percent",
+    "frames",
+)
 MASK_NUMBERS: dict[str, tuple[str, str]] = {
     "foreground_share": ("Foreground", "share of the picture"),
     "shadow_share": ("Shadow", "share of the picture"),
@@ -111,18 +78,6 @@ MASK_NUMBERS: dict[str, tuple[str, str]] = {
     ),
 }
 _HEADLINE = ("mean_error_mm", "mmta_percent", "mmtp_mm", "mota_percent", "motp_mm", "volume_iou")
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One plot: image holds the bytes of a PNG or JPEG file, alt says in words what it shows."""
-
-    title: str
-    caption: str
-    image: bytes
-    mime: str = "image/png"
-    section: Section = "other"
-    alt: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +96,7 @@ class FramePanel:
 class ReportData:
     """All that a report shows. Everything but title, session and status may be left empty.
 
-    warnings : plain sentences; what follows "Remedy:" in one of them is set apart.  scores : keys of SCORES
+    warnings : plain sentences; what follows "Remedy:" in one of them is set apart.  scores : keys of REPORT_SCORES
     -> number or None = does not apply.  per_landmark_mm : landmark -> mean error, mm.
     timings : stage -> (seconds in all, milliseconds per frame or None).
     silhouettes : camera -> keys of MASK_NUMBERS -> share 0..1 or None = not known.
@@ -175,20 +130,7 @@ def write_report(path: Path, data: ReportData, *, max_bytes: int = MAX_BYTES) ->
     Pictures are shrunk, and at the very last left out evenly, until the file is below max_bytes.
     Raises MocapError when the file cannot be written.
     """
-    target = Path(path)
-    part = target.with_name(target.name + ".part")
-    text = report_html(data, max_bytes=max_bytes)
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, target)
-    except OSError as error:
-        if part.exists():
-            part.unlink()
-        raise MocapError(
-            f"the report cannot be written: {error.strerror or error}",
-            remedy="choose an output folder that exists, is writable and has space left",
-            path=target,
-        ) from error
+    write_html(Path(path), report_html(data, max_bytes=max_bytes), what="the report")
 
 
 def report_html(data: ReportData, *, max_bytes: int = MAX_BYTES) -> str:
@@ -220,7 +162,7 @@ def verdict(data: ReportData) -> tuple[str, ...]:
         if data.fps and data.n_frames and data.n_frames > 1:
             where.append(f"({data.n_frames / data.fps:.1f} s at {data.fps:g} frames/s)")
         said.append(" ".join([who, *where]) + ".")
-    said += _verdict_on_scores(data.scores)
+    said += verdict_on_scores(data.scores)
     per_frame = [ms for _, ms in data.timings.values() if ms]
     if per_frame:
         said.append(f"The computation ran at {1000 / sum(per_frame):.1f} frames per second.")
@@ -230,111 +172,48 @@ def verdict(data: ReportData) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _verdict_on_scores(scores: Mapping[str, float | None] | None) -> list[str]:
-    if not scores or all(v is None for v in scores.values()):
-        return ["This session has no ground truth, so nothing is scored: judge the pictures by eye."]
-    said = []
-    mean, share, epsilon = (scores.get(k) for k in ("mean_error_mm", "mmta_percent", "epsilon_mm"))
-    if mean is not None:
-        sentence = f"Landmarks lie {mean:.0f} mm from the truth on average"
-        if share is not None:
-            within = f"within {epsilon:g} mm" if epsilon is not None else "close enough"
-            sentence += f", and {share:.1f} % of them {within}"
-            sentence += (
-                ": the body was followed throughout"
-                if share >= 95
-                else ": mostly right, but limbs are lost at times"
-                if share >= 70
-                else ": limbs or the whole body are lost for long stretches"
-            )
-        said.append(sentence + ".")
-    mota = scores.get("mota_percent")
-    if mota is not None:
-        switches = scores.get("mismatches")
-        tail = "" if switches is None else f", with {switches:g} identity switch{'es' * (switches != 1)}"
-        said.append(f"Tracking of persons is {mota:.1f} % accurate (MOTA){tail}.")
-    return said
-
-
 def _page(data: ReportData, panels: Sequence[FramePanel], width: int, quality: int) -> str:
     sections = [
-        ("result", "Result", _result_section(data)),
-        ("warnings", "Warnings", _warnings_section(data.warnings)),
-        ("pictures", "Pictures", _pictures_section(data, panels, width, quality)),
-        ("accuracy", "Accuracy", _accuracy_section(data)),
-        *([("silhouettes", "Silhouettes", _silhouettes_section(data))] if data.silhouettes else []),
-        ("tracks", "Paths", _figures(data, "tracks") or _none("No map of the paths was made.")),
-        ("timing", "Timing", _timing_section(data)),
+        PageSection("result", "Result", _result_section(data)),
+        PageSection("warnings", "Warnings", warning_list(data.warnings)),
+        PageSection("pictures", "Pictures", _pictures_section(data, panels, width, quality)),
+        PageSection("accuracy", "Accuracy", _accuracy_section(data)),
+        *(
+            [PageSection("silhouettes", "Silhouettes", _silhouettes_section(data))]
+            if data.silhouettes
+            else []
+        ),
+        PageSection("tracks", "Paths", _figures(data, "tracks") or faint("No map of the paths was made.")),
+        PageSection("timing", "Timing", _timing_section(data)),
     ]
     if any(f.section == "other" for f in data.figures):
-        sections.append(("more", "More plots", _figures(data, "other")))
-    sections.append(("settings", "Settings and files", _settings_section(data)))
-    sections.append(("versions", "Versions", _versions_section(data.versions)))
-    navigation = "".join(f'<a href="#{key}">{_text(name)}</a>' for key, name, _ in sections)
-    body = "".join(
-        f'<section id="{key}" aria-labelledby="h-{key}"><h2 id="h-{key}">{_text(name)}</h2>{content}</section>'
-        for key, name, content in sections
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
-        "style-src 'unsafe-inline'; script-src 'unsafe-inline'\">"
-        f"<title>{_text(data.title)}</title><style>{_STYLE}</style></head><body>"
-        f'<header><p class="kicker">Motion capture report</p><h1>{_text(data.title)}</h1>'
-        f'<p class="session">{_text(data.session)} {_badge(data)}</p>'
-        f'<nav aria-label="Sections">{navigation}</nav></header><main>{body}</main>'
-        '<dialog id="zoom" aria-label="Enlarged picture"><img alt=""><p></p></dialog>'
-        f"<script>{_SCRIPT}</script></body></html>\n"
-    )
+        sections.append(PageSection("more", "More plots", _figures(data, "other")))
+    sections.append(PageSection("settings", "Settings and files", _settings_section(data)))
+    sections.append(PageSection("versions", "Versions", _versions_section(data.versions)))
+    subtitle = f'<p class="session">{escaped(data.session)} {_badge(data)}</p>'
+    return page_html(data.title, "Motion capture report", sections, subtitle=subtitle)
 
 
 def _badge(data: ReportData) -> str:
     kind = "good" if data.status == "complete" else "bad"
-    return f'<span class="badge {kind}">{_text(data.status)}</span>'
+    return f'<span class="badge {kind}">{escaped(data.status)}</span>'
 
 
 def _result_section(data: ReportData) -> str:
     first, *others = verdict(data) or ("",)
-    out = f'<p class="lead">{_text(first)}</p>'
+    out = f'<p class="lead">{escaped(first)}</p>'
     if others:
-        out += "<p>" + " ".join(_text(s) for s in others) + "</p>"
-    scores = data.scores or {}
-    cards = [(SCORES[key], scores[key]) for key in _HEADLINE if scores.get(key) is not None]
-    if cards:
-        out += '<div class="cards">'
-        for score, value in cards:
-            unit = f" <small>{_text(score.unit)}</small>" if score.unit else ""
-            out += (
-                f'<div class="card"><p class="name">{_text(score.name)}</p>'
-                f'<p class="value">{_number(value, score.unit)}{unit}</p>'
-                f'<p class="hint">{_text(score.meaning)}</p></div>'
-            )
-        out += "</div>"
+        out += "<p>" + " ".join(escaped(s) for s in others) + "</p>"
+    if cards := score_cards(data.scores or {}, _HEADLINE):
+        out += f'<div class="cards">{cards}</div>'
     if data.summary:
-        rows = "".join(
-            f'<tr><th scope="row">{_text(k)}</th><td>{_text(v)}</td></tr>' for k, v in data.summary
-        )
-        out += f'<div class="scroll"><table class="plain"><tbody>{rows}</tbody></table></div>'
+        out += plain_table(data.summary)
     return out
-
-
-def _warnings_section(warnings: Sequence[str]) -> str:
-    if not warnings:
-        return _none("None.")
-    out = '<ul class="warnings">'
-    for warning in warnings:
-        what, _, remedy = str(warning).partition("Remedy:")
-        out += f"<li><p>{_text(what.strip())}</p>"
-        if remedy.strip():
-            out += f'<p class="remedy"><strong>What helps:</strong> {_text(remedy.strip())}</p>'
-        out += "</li>"
-    return out + "</ul>"
 
 
 def _pictures_section(data: ReportData, panels: Sequence[FramePanel], width: int, quality: int) -> str:
     if not panels:
-        return _none("No pictures were kept of this run.")
+        return faint("No pictures were kept of this run.")
     swatches = "".join(
         f'<span><i style="background:{_css(colour)}"></i>{name}</span>'
         for name, colour in (
@@ -369,10 +248,10 @@ def _pictures_section(data: ReportData, panels: Sequence[FramePanel], width: int
         for panel in panels:
             if panel.frame != number:
                 continue
-            out += f'<h4>{_text(panel.title)}</h4><div class="strip" style="--n:{len(panel.images)}">'
+            out += f'<h4>{escaped(panel.title)}</h4><div class="strip" style="--n:{len(panel.images)}">'
             for label, image in panel.images:
                 alt = f"{label}, {panel.title}, frame {panel.frame}"
-                out += _picture(_data_uri(_jpeg(image, width, quality), "image/jpeg"), label, alt)
+                out += _picture(data_uri(_jpeg(image, width, quality), "image/jpeg"), label, alt)
             out += "</div>"
         out += "</div>"
     return out
@@ -381,30 +260,19 @@ def _pictures_section(data: ReportData, panels: Sequence[FramePanel], width: int
 def _picture(uri: str, label: str, alt: str) -> str:
     return (
         f'<figure class="shot"><button type="button" class="zoom" title="Enlarge">'
-        f'<img src="{uri}" alt="{_text(alt)}" loading="lazy"></button>'
-        f"<figcaption>{_text(label)}</figcaption></figure>"
+        f'<img src="{uri}" alt="{escaped(alt)}" loading="lazy"></button>'
+        f"<figcaption>{escaped(label)}</figcaption></figure>"
     )
 
 
 def _accuracy_section(data: ReportData) -> str:
     out = ""
     if data.scores:
-        out += (
-            '<div class="scroll"><table><thead><tr><th scope="col">Score</th><th scope="col" class="number">Value'
-            '</th><th scope="col">What it means</th></tr></thead><tbody>'
-        )
-        for key in [*(k for k in SCORES if k in data.scores), *(k for k in data.scores if k not in SCORES)]:
-            score = SCORES.get(key, Score(key.replace("_", " "), "", ""))
-            value = data.scores[key]
-            shown = "does not apply" if value is None else f"{_number(value, score.unit)} {_text(score.unit)}"
-            style = "number faint" if value is None else "number"
-            out += (
-                f'<tr><th scope="row">{_text(score.name)}<br><code>{_text(key)}</code></th>'
-                f'<td class="{style}">{shown}</td><td>{_text(score.meaning)}</td></tr>'
-            )
-        out += "</tbody></table></div>"
+        known = [k for k in REPORT_SCORES if k in data.scores]
+        keys = [*known, *(k for k in data.scores if k not in REPORT_SCORES)]
+        out += score_table((key, data.scores[key]) for key in keys)
     else:
-        out += _none("No ground truth came with this session, so no score can be given.")
+        out += faint("No ground truth came with this session, so no score can be given.")
     out += _figures(data, "accuracy")
     if data.per_landmark_mm:
         out += _landmark_table(data.per_landmark_mm)
@@ -420,7 +288,7 @@ def _landmark_table(per_landmark_mm: Mapping[str, float | None]) -> str:
         share = 100 * float(value or 0) / longest if is_known else 0.0
         shown = f"{value:.0f} mm" if is_known else "not scored"
         rows += (
-            f'<tr><th scope="row">{_text(name.replace("_", " "))}</th><td class="number">{shown}</td>'
+            f'<tr><th scope="row">{escaped(name.replace("_", " "))}</th><td class="number">{shown}</td>'
             f'<td class="bar"><i style="width:{share:.1f}%"></i></td></tr>'
         )
     return (
@@ -432,7 +300,7 @@ def _landmark_table(per_landmark_mm: Mapping[str, float | None]) -> str:
 
 def _silhouettes_section(data: ReportData) -> str:
     heads = "".join(
-        f'<th scope="col" class="number" title="{_text(meaning)}">{_text(name)} (%)</th>'
+        f'<th scope="col" class="number" title="{escaped(meaning)}">{escaped(name)} (%)</th>'
         for name, meaning in MASK_NUMBERS.values()
     )
     rows = ""
@@ -441,10 +309,10 @@ def _silhouettes_section(data: ReportData) -> str:
         for key in MASK_NUMBERS:
             value = numbers.get(key)
             cells += f'<td class="number">{"" if value is None else f"{100 * value:.1f}"}</td>'
-        rows += f'<tr><th scope="row">{_text(camera)}</th>{cells}</tr>'
+        rows += f'<tr><th scope="row">{escaped(camera)}</th>{cells}</tr>'
     words = "; ".join(f"{name.lower()}: {meaning}" for name, meaning in MASK_NUMBERS.values())
     return (
-        f"<p>How good the silhouettes of each camera are, judged without truth. {_text(words.capitalize())}. What is "
+        f"<p>How good the silhouettes of each camera are, judged without truth. {escaped(words.capitalize())}. What is "
         "too large is among the warnings, with what helps.</p>"
         f'<div class="scroll"><table class="narrow"><thead><tr><th scope="col">Camera</th>{heads}</tr></thead>'
         f"<tbody>{rows}</tbody></table></div>" + _figures(data, "silhouettes")
@@ -453,12 +321,12 @@ def _silhouettes_section(data: ReportData) -> str:
 
 def _timing_section(data: ReportData) -> str:
     if not data.timings:
-        return _figures(data, "timing") or _none("No stage was timed.")
+        return _figures(data, "timing") or faint("No stage was timed.")
     rows = ""
     for stage, (seconds, ms) in data.timings.items():
         shown = "" if ms is None else f"{ms:.1f}"
         rows += (
-            f'<tr><th scope="row">{_text(stage.replace("_", " "))}</th>'
+            f'<tr><th scope="row">{escaped(stage.replace("_", " "))}</th>'
             f'<td class="number">{seconds:.2f}</td><td class="number">{shown}</td></tr>'
         )
     total = sum(seconds for seconds, _ in data.timings.values())
@@ -475,39 +343,27 @@ def _timing_section(data: ReportData) -> str:
 def _settings_section(data: ReportData) -> str:
     out = ""
     if data.command:
-        out += f"<p>This command makes the same result again:</p><pre>{_text(data.command)}</pre>"
+        out += f"<p>This command makes the same result again:</p><pre>{escaped(data.command)}</pre>"
     if data.outputs:
         rows = "".join(
-            f'<tr><th scope="row"><code>{_text(name)}</code></th><td>{_text(what)}</td></tr>'
+            f'<tr><th scope="row"><code>{escaped(name)}</code></th><td>{escaped(what)}</td></tr>'
             for name, what in data.outputs
         )
         table = f'<table class="plain"><tbody>{rows}</tbody></table>'
         out += f'<p>Files beside this report:</p><div class="scroll">{table}</div>'
     if data.config_text:
-        out += f"<details><summary>All settings of the run</summary><pre>{_text(data.config_text)}</pre></details>"
-    return out or _none("No settings were recorded.")
+        out += f"<details><summary>All settings of the run</summary><pre>{escaped(data.config_text)}</pre></details>"
+    return out or faint("No settings were recorded.")
 
 
 def _versions_section(versions: Mapping[str, str]) -> str:
     if not versions:
-        return _none("No versions were recorded.")
-    rows = "".join(
-        f'<tr><th scope="row">{_text(k)}</th><td>{_text(v)}</td></tr>' for k, v in versions.items()
-    )
-    return f'<div class="scroll"><table class="plain"><tbody>{rows}</tbody></table></div>'
+        return faint("No versions were recorded.")
+    return plain_table(versions.items())
 
 
 def _figures(data: ReportData, section: Section) -> str:
-    out = ""
-    for figure in data.figures:
-        if figure.section == section:
-            alt = figure.alt or f"Plot: {figure.title}. {figure.caption}"
-            out += (
-                f'<figure class="plot"><button type="button" class="zoom" title="Enlarge">'
-                f'<img src="{_data_uri(figure.image, figure.mime)}" alt="{_text(alt)}"></button>'
-                f"<figcaption><strong>{_text(figure.title)}</strong> {_text(figure.caption)}</figcaption></figure>"
-            )
-    return out
+    return figures_html(f for f in data.figures if f.section == section)
 
 
 def _jpeg(image: Image, width: int, quality: int) -> bytes:
@@ -524,124 +380,5 @@ def _jpeg(image: Image, width: int, quality: int) -> bytes:
     return coded.tobytes()
 
 
-def _data_uri(content: bytes, mime: str) -> str:
-    return f"data:{html.escape(mime)};base64,{base64.b64encode(content).decode('ascii')}"
-
-
-def _text(value: object) -> str:
-    return html.escape(str(value), quote=True).replace(" %", "\u00a0%")
-
-
-def _none(sentence: str) -> str:
-    return f'<p class="faint">{_text(sentence)}</p>'
-
-
-def _number(value: float | None, unit: str = "") -> str:
-    """A score with as many digits as mean something: tenths with a unit, thousandths of a plain ratio."""
-    if value is None or not np.isfinite(value):
-        return "unknown"
-    if unit:
-        return f"{value:.1f}"
-    return f"{int(value)}" if float(value).is_integer() else f"{value:.3f}"
-
-
 def _css(colour: Colour) -> str:
     return "rgb({}, {}, {})".format(*colour)
-
-
-_STYLE = """
-:root{color-scheme:light dark;--ground:#f5f6f8;--card:#fff;--ink:#1d2329;--faint:#626c78;--line:#dde1e6;
---accent:#0b63a5;--good:#0a7a55;--bad:#b3400a;--warn:#fff6e3;--warnline:#e6a100}
-@media (prefers-color-scheme:dark){:root{--ground:#15181c;--card:#1f2429;--ink:#e8ebee;--faint:#9aa5b1;
---line:#343b43;--accent:#6db8ef;--good:#45c797;--bad:#ff9a5c;--warn:#332a14;--warnline:#c58d08}}
-*{box-sizing:border-box}
-body{margin:0;background:var(--ground);color:var(--ink);font:16px/1.55 system-ui,-apple-system,"Segoe UI",
-Roboto,"Noto Sans","DejaVu Sans",sans-serif}
-header,main{max-width:1180px;margin:0 auto;padding:0 24px}
-header{padding-top:36px}
-.kicker{margin:0;color:var(--faint);font-size:13px;letter-spacing:.08em;text-transform:uppercase}
-h1{margin:2px 0 4px;font-size:30px;line-height:1.2;overflow-wrap:anywhere}
-h2{margin:0 0 12px;font-size:20px}
-h3{margin:18px 0 4px;font-size:17px}
-h4{margin:10px 0 6px;font-size:14px;color:var(--faint);font-weight:600}
-.session{margin:0 0 14px;color:var(--faint);overflow-wrap:anywhere}
-nav{display:flex;flex-wrap:wrap;gap:4px 18px;padding:10px 0;border-top:1px solid var(--line);font-size:15px}
-nav a{color:var(--accent);text-decoration:none}
-nav a:hover,nav a:focus-visible{text-decoration:underline}
-section{background:var(--card);border:1px solid var(--line);border-radius:10px;padding:22px 24px;margin:0 0 18px;
-scroll-margin-top:12px}
-.lead{font-size:19px;margin:0 0 8px}
-p{max-width:86ch;margin:0 0 10px}
-.badge{display:inline-block;margin-left:6px;padding:1px 10px;border:1px solid currentColor;border-radius:99px;
-font-size:13px;font-weight:600}
-.good{color:var(--good)}.bad{color:var(--bad)}.faint{color:var(--faint)}
-.cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(165px,1fr));gap:12px;margin:16px 0}
-.card{border:1px solid var(--line);border-radius:8px;padding:12px 14px}
-.card p{margin:0}.card .name{font-size:13px;color:var(--faint);font-weight:600}
-.card .value{font-size:28px;font-weight:650;line-height:1.3;font-variant-numeric:tabular-nums}
-.card small{font-size:15px;font-weight:500}.card .hint{font-size:12.5px;line-height:1.4;color:var(--faint)}
-.scroll{overflow-x:auto}
-table{border-collapse:collapse;width:100%;margin:6px 0 14px;font-size:15px}
-table.plain,table.narrow{width:auto;min-width:min(420px,100%)}
-th,td{text-align:left;vertical-align:top;padding:6px 14px 6px 0;border-bottom:1px solid var(--line)}
-th{font-weight:600}thead th{color:var(--faint);font-size:13px}tfoot th,tfoot td{font-weight:650;border-bottom:0}
-td.number,th.number{text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums;padding-right:24px}
-.bar{width:50%;vertical-align:middle}.bar i{display:block;height:10px;background:var(--accent);border-radius:2px}
-code,pre{font-family:ui-monospace,"DejaVu Sans Mono",Menlo,Consolas,monospace;font-size:13px}
-th code{font-weight:400;color:var(--faint)}
-pre{background:var(--ground);border:1px solid var(--line);border-radius:6px;padding:12px;overflow-x:auto;
-white-space:pre-wrap;overflow-wrap:anywhere}
-summary{cursor:pointer;font-weight:600;margin:6px 0}
-.warnings{list-style:none;margin:0;padding:0}
-.warnings li{background:var(--warn);border-left:4px solid var(--warnline);border-radius:4px;padding:10px 14px;
-margin:0 0 10px}
-.warnings p{margin:0}.warnings .remedy{margin-top:4px}
-.legend{display:flex;flex-wrap:wrap;gap:4px 18px;font-size:14px;color:var(--faint)}
-.legend i{display:inline-block;width:14px;height:14px;margin-right:6px;border-radius:3px;vertical-align:-2px;
-border:1px solid #0006}
-.legend i.depth{width:44px;background:linear-gradient(90deg,#00306f,#7b7b78,#fde737)}
-.strip{display:grid;grid-template-columns:repeat(auto-fit,minmax(190px,1fr));gap:10px}
-figure{margin:0}.shot figcaption{font-size:13.5px;color:var(--faint);padding:3px 0 6px}
-.zoom{display:block;width:100%;padding:0;border:0;background:none;cursor:zoom-in;border-radius:6px}
-.zoom:focus-visible{outline:3px solid var(--accent);outline-offset:2px}
-.zoom img{display:block;width:100%;height:auto;border-radius:6px}
-.plot{margin:14px 0 18px}.plot .zoom{max-width:1000px;background:#fff;border:1px solid var(--line);padding:8px}
-.plot .zoom img{width:auto;max-width:100%;margin:0 auto}
-.plot figcaption{font-size:14.5px;padding-top:6px;max-width:86ch;color:var(--faint)}
-.plot figcaption strong{color:var(--ink)}
-.slider{display:flex;flex-wrap:wrap;align-items:center;gap:10px;margin:12px 0;position:sticky;top:0;z-index:2;
-background:var(--card);padding:8px 0}
-.slider[hidden],.frame[hidden]{display:none}
-.slider input[type=range]{flex:1;min-width:160px;accent-color:var(--accent)}
-.slider button{font:inherit;padding:2px 12px;border:1px solid var(--line);border-radius:6px;background:var(--ground);
-color:var(--ink);cursor:pointer}
-.slider output{min-width:8ch;font-weight:600;font-variant-numeric:tabular-nums}
-dialog{border:0;padding:12px;border-radius:10px;background:#111;color:#eee;max-width:96vw;max-height:96vh}
-dialog::backdrop{background:#000b}
-dialog img{display:block;max-width:92vw;max-height:84vh;min-width:min(70vw,720px);margin:0 auto;object-fit:contain}
-dialog p{margin:8px 0 0;font-size:14px}
-.sr{position:absolute;width:1px;height:1px;overflow:hidden;clip-path:inset(50%)}
-@media print{:root{--ground:#fff;--card:#fff;--ink:#000;--faint:#444;--line:#bbb;--accent:#0b63a5;color-scheme:light}
-body{font-size:11pt}nav,.slider{display:none!important}.frame[hidden]{display:block!important}
-section{border:0;padding:0 0 12pt;margin:0}figure,tr,li,.card{break-inside:avoid}h2,h3,h4{break-after:avoid}
-.strip{grid-template-columns:repeat(var(--n,4),1fr)}}
-"""
-
-_SCRIPT = """
-"use strict";
-(function(){
-var box=document.getElementById("zoom"),big=box.querySelector("img"),text=box.querySelector("p");
-document.querySelectorAll("button.zoom").forEach(function(b){b.addEventListener("click",function(){
-var i=b.querySelector("img");big.src=i.src;big.alt=i.alt;text.textContent=i.alt;box.showModal();});});
-box.addEventListener("click",function(){box.close();});
-var bar=document.querySelector(".slider");if(!bar){return;}
-var frames=document.querySelectorAll(".frame"),range=bar.querySelector("input[type=range]");
-var all=bar.querySelector("input[type=checkbox]"),out=bar.querySelector("output");
-function show(){frames.forEach(function(f,i){f.hidden=!all.checked&&i!==+range.value;});
-out.textContent="frame "+frames[+range.value].dataset.frame;}
-range.addEventListener("input",show);all.addEventListener("change",show);
-bar.querySelectorAll("button").forEach(function(b){b.addEventListener("click",function(){
-range.value=+range.value+ +b.dataset.step;show();});});
-bar.hidden=false;show();
-})();
-"""

@@ -75,8 +75,8 @@ def test_body_page_names_every_key() -> None:
 
 
 def test_outputs_page_names_every_column_and_score() -> None:
+    from mocap.compare import evaluate
     from mocap.io.tables import LANDMARK_COLUMNS, TRACK_COLUMNS, UNCERTAINTY_COLUMNS
-    from mocap.metrics import evaluate
     from mocap.pipeline.report_data import OUTPUT_WORDS
 
     text = (DOCS / "outputs.md").read_text(encoding="utf-8")

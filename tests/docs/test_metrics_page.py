@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from mocap.compare import detailed_scores
 from mocap.io.poses import read_map, skeletons_known
-from mocap.metrics import detailed_scores
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 TEXT = (DOCS / "metrics.md").read_text(encoding="utf-8")

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mocap.compare.units import length_unit
 from mocap.data import LANDMARKS, Motion, Skeleton
 from mocap.errors import MocapError
 from mocap.io.actions import read_actions_csv
@@ -20,7 +21,6 @@ from mocap.io.poses.maps import SKELETONS, automatic
 from mocap.io.poses.motions import _WORLD_FROM
 from mocap.io.tables import write_landmarks_csv
 from mocap.io.units import AXES
-from mocap.metrics import length_unit
 
 AT = LANDMARKS.index
 FPS = 25.0

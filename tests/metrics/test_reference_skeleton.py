@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocap.compare import Pair
+from mocap.compare.detail import angles_on_reference_skeleton
 from mocap.data import LANDMARKS
-from mocap.metrics import ANGLES, Pair, angle_differences, fit_reference_skeleton, joint_angles
-from mocap.metrics.detail import angles_on_reference_skeleton
+from mocap.metrics import ANGLES, angle_differences, fit_reference_skeleton, joint_angles
 from mocap.metrics.points import torso_rotation
 from mocap.metrics.reference import SEGMENTS, _forward, _jacobian, _moved, _sizes, _start
 

@@ -12,8 +12,10 @@ import pytest
 import view_world as world
 
 from mocap.errors import MocapError
+from mocap.metrics.catalogue import CATALOGUE
 from mocap.view import draw_body, draw_hull, draw_mask, plot_stage_timing
-from mocap.view.report import SCORES, Figure, FramePanel, ReportData, report_html, verdict, write_report
+from mocap.view.html import Figure
+from mocap.view.report import REPORT_SCORES, FramePanel, ReportData, report_html, verdict, write_report
 
 SECTIONS = ("result", "warnings", "pictures", "accuracy", "tracks", "timing", "settings", "versions")
 VOID = {"meta", "img", "input", "br"}
@@ -143,7 +145,7 @@ def test_escapes_what_it_is_told(text):
 def test_says_scores_with_units_and_meaning(text):
     page = parsed(text)
     assert "58.1 mm" in page.text
-    assert SCORES["mmta_percent"].meaning.replace(" %", "\u00a0%") in page.text
+    assert CATALOGUE["mmta_percent"].meaning.replace(" %", "\u00a0%") in page.text
     assert "does not apply" in page.text
     assert "home made score" in page.text
     assert "not scored" in page.text
@@ -167,7 +169,7 @@ def test_warning_and_remedy_are_told_apart(text):
     assert re.search(r'class="remedy"><strong>What helps:</strong> record a new background\.</p>', text)
 
 
-@pytest.mark.parametrize("scores", [None, {}, dict.fromkeys(SCORES)])
+@pytest.mark.parametrize("scores", [None, {}, dict.fromkeys(REPORT_SCORES)])
 def test_bare_report_has_all_sections(scores):
     text = report_html(ReportData("t", "s", "incomplete", scores=scores))
     page = parsed(text)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from small_session import mocap
 
+from mocap.compare import CompareOptions, compare
 from mocap.data import Tracks
 from mocap.errors import MocapError
 from mocap.io.tables import write_tracks_csv
-from mocap.pipeline.comparison import CompareOptions, compare
 
 FPS = 20.0
 

@@ -1,23 +1,19 @@
-"""Scores of a run against the truth of its session."""
+"""Scores that need the hulls of a run: overlap with the true volume, and whether lost limbs are known to be lost."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Motion, Tracks, VoxelGrid
+from mocap.compare.match import associate_persons
+from mocap.data import LANDMARKS, Motion, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
-from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.metrics import (
     LimbScores,
-    associate_persons,
-    evaluate,
     limb_scores,
     share_in_hull,
     sum_volume_scores,
@@ -37,44 +33,10 @@ LIMBS: dict[tuple[str, str], str] = {
         ("knee", "ankle", "ankle"),
     )
 }
-_LOST, _PRESENT = 0.3, 0.7
+_LOST, _PRESENT = 0.3, 0.7  # share of the true bone in the hull
 
-
-def score_run(
-    truth_dir: Path | None,
-    motions: Sequence[Motion],
-    tracks: Tracks | None,
-    *,
-    frames: Sequence[int],
-    hulls: StageStore | None,
-    epsilon_mm: float = 100.0,
-) -> dict[str, Any] | None:
-    """All scores of a run, or None when the session holds no truth files.
-
-    truth_dir : of the session, None = it has none.  motions, tracks : what the run found.  frames : it worked on.
-    hulls : the store with its hulls, None = it made none, and the volume is not scored.
-    """
-    if truth_dir is None or not (truth_dir / "landmarks.csv").exists():
-        return None
-    tracks_path = truth_dir / "tracks.csv"
-    return evaluate(
-        motions,
-        read_landmarks_csv(truth_dir / "landmarks.csv"),
-        tracks,
-        read_tracks_csv(tracks_path) if tracks_path.exists() else None,
-        None if hulls is None else volume_overlap(truth_dir, hulls),
-        epsilon_mm,
-        frames=list(frames),
-    )
-
-
-def frames_of_run(out: Path) -> tuple[int, ...] | None:
-    """Frames that a run worked on, by its run.json; None for landmarks.csv from elsewhere."""
-    try:
-        start, stop = json.loads((out / "run.json").read_text(encoding="utf-8"))["frames"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return tuple(range(int(start), int(stop)))
+# (true landmarks (15, 3) m, whether the estimate says that it observed each (15,))
+_Judged = tuple[NDArray[np.float64], NDArray[np.bool_]]
 
 
 def volume_overlap(truth_dir: Path, store: StageStore) -> VolumeScores | None:
@@ -102,7 +64,7 @@ def volume_overlap(truth_dir: Path, store: StageStore) -> VolumeScores | None:
             break
         own = voxels[offsets[frame] : offsets[frame + 1]]
         on_grid = grid.voxels_of(truth_grid.centers(own))
-        scores.append(volume_scores(_on_grid(arrays["voxels"]), on_grid[on_grid >= 0]))
+        scores.append(volume_scores(arrays["voxels"].astype(np.int64), on_grid[on_grid >= 0]))
     return sum_volume_scores(scores) if scores else None
 
 
@@ -125,20 +87,12 @@ def lost_limbs(
     except MocapError:
         return None
     grid = stored_grid(store)
-    scored = None if frames is None else set(frames)
-    wanted: dict[int, list[tuple[NDArray[np.float64], NDArray[np.bool_]]]] = {}
-    for e, t in associate_persons(estimate, truth, frames=frames):
-        if e is None or e.observed is None:
-            continue
-        common, of_estimate, of_truth = np.intersect1d(e.frames, t.frames, return_indices=True)
-        for frame, i, j in zip(common, of_estimate, of_truth, strict=True):
-            if scored is None or int(frame) in scored:
-                wanted.setdefault(int(frame), []).append((t.landmarks[j], e.observed[i]))
+    judged = _judged_by_frame(estimate, truth, frames)
     chains = [[LANDMARKS.index(n) for n in ends] for ends in LIMBS]
     judges = [LANDMARKS.index(n) for n in LIMBS.values()]
     shares, said = [], []
     for frame, arrays in reader:
-        for landmarks, observed in wanted.get(frame, ()):
+        for landmarks, observed in judged.get(frame, ()):
             shares.append([share_in_hull(landmarks[c], arrays["voxels"], grid) for c in chains])
             said.append(~observed[judges])
     if not shares:
@@ -147,5 +101,17 @@ def lost_limbs(
     return limb_scores(share < _LOST, np.array(said), (share < _LOST) | (share > _PRESENT))
 
 
-def _on_grid(voxels: NDArray[np.generic]) -> NDArray[np.int64]:
-    return voxels.astype(np.int64)
+def _judged_by_frame(
+    estimate: Sequence[Motion], truth: Sequence[Motion], frames: Sequence[int] | None
+) -> dict[int, list[_Judged]]:
+    """Scored frame -> what is judged in it, person by person."""
+    scored = None if frames is None else set(frames)
+    judged: dict[int, list[_Judged]] = {}
+    for e, t in associate_persons(estimate, truth, frames=frames):
+        if e is None or e.observed is None:
+            continue
+        common, of_estimate, of_truth = np.intersect1d(e.frames, t.frames, return_indices=True)
+        for frame, i, j in zip(common, of_estimate, of_truth, strict=True):
+            if scored is None or int(frame) in scored:
+                judged.setdefault(int(frame), []).append((t.landmarks[j], e.observed[i]))
+    return judged

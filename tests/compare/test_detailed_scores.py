@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mocap.compare import Action, detailed_scores, evaluate, matched_pairs
 from mocap.data import LANDMARKS, Motion
-from mocap.metrics import Action, detailed_scores, evaluate, matched_pairs
 
 FPS = 25.0
 T = 60

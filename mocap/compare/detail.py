@@ -1,4 +1,4 @@
-"""What `mocap eval` says beyond the scores of every run: curves, alignments, held-out offsets, actions, pictures.
+"""Detailed scores of a comparison: curves, alignments, held-out offsets, actions, pictures.
 
 All of it is plain numbers, text, lists and dicts, ready for JSON, None where something does not apply.
 """
@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, CameraRig, Motion
+from mocap.compare.match import Pair, stacked
+from mocap.compare.scores import finite_or_none
+from mocap.data import LANDMARKS, CameraRig
 from mocap.metrics.alignment import procrustes_aligned, root_aligned
 from mocap.metrics.angles import ANGLES, AngleScores, angle_differences, angle_scores
-from mocap.metrics.evaluate import aligned, associate_persons, stacked
 from mocap.metrics.image import EPSILON_PX, image_scores, pixels_to_score
 from mocap.metrics.points import (
     AUC_LIMIT_MM,
@@ -50,32 +51,6 @@ class Action:
     person: int | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """One true person and what was estimated of him, on the scored frames; NaN = unknown."""
-
-    person: int
-    frames: NDArray[np.int64]
-    estimate: Array
-    truth: Array
-    std: Array
-
-
-def matched_pairs(
-    estimate: Sequence[Motion],
-    truth: Sequence[Motion],
-    *,
-    frames: Sequence[int] | NDArray[np.integer] | None = None,
-) -> list[Pair]:
-    """Every true person with the estimate that belongs to him, associated as `evaluate` does it."""
-    pairs = []
-    for e, t in associate_persons(estimate, truth, frames=frames):
-        own, target = aligned(e, t, frames)
-        spread = np.full_like(own.landmarks, np.nan) if own.std is None else own.std
-        pairs.append(Pair(t.person, target.frames, own.landmarks, target.landmarks, spread))
-    return pairs
-
-
 def detailed_scores(
     pairs: Sequence[Pair],
     fps: float | None,
@@ -95,64 +70,83 @@ def detailed_scores(
     """
     x = stacked([p.estimate for p in pairs])
     y = stacked([p.truth for p in pairs])
-    errors = point_errors(x, y)
-    search = epsilon_search(errors)
-    natural = None if search is None else point_scores(x, y, search.by_lilliefors_mm)
-    sweep = [point_scores(x, y, mm) for mm in SWEEP_MM]
-    fitted = angles_on_reference_skeleton(pairs, epsilon_mm)
-    moved = _smoothness(pairs, fps)
-    honest = reliability(x, y, stacked([p.std for p in pairs]))
+    smoothness = _smoothness(pairs, fps)
     return {
-        "epsilon_search": None
-        if search is None or natural is None
-        else {
-            "by_lilliefors_mm": search.by_lilliefors_mm,
-            "by_r2_mm": search.by_r2_mm,
-            "at_bound": search.at_bound,
-            "mmtp_mm": natural.mmtp_mm,
-            "mmtp_std_mm": natural.mmtp_std_mm,
-            "mmta_percent": natural.mmta_percent,
-        },
-        "sweep": {
-            "epsilon_mm": list(SWEEP_MM),
-            "mmta_percent": [s.mmta_percent for s in sweep],
-            "mmtp_mm": [s.mmtp_mm for s in sweep],
-            "mmtp_std_mm": [s.mmtp_std_mm for s in sweep],
-        },
+        "epsilon_search": _natural_epsilon(x, y),
+        "sweep": _sweep(x, y),
         "pck_auc_percent": pck_auc_percent(x, y),
         "pck_auc_limit_mm": AUC_LIMIT_MM,
-        "aligned": {
-            name: _brief(point_scores(moved_x, y, epsilon_mm), pck_auc_percent(moved_x, y))
-            for name, moved_x in (
-                ("none", x),
-                ("root", root_aligned(x, y)),
-                ("rigid", procrustes_aligned(x, y, with_scale=False)),
-                ("procrustes", procrustes_aligned(x, y)),
-            )
-        },
+        "aligned": _aligned(x, y, epsilon_mm),
         "offset_calibration": offset_calibration(pairs, epsilon_mm, learn_share),
         "angles": {
             "direct": _angles(angle_scores(x, y, epsilon_mm)),
-            "inverse_kinematics": _angles(fitted),
+            "inverse_kinematics": _angles(angles_on_reference_skeleton(pairs, epsilon_mm)),
         },
-        "acceleration_error_m_s2": moved.acceleration_error_m_s2,
-        "jitter_estimate_m_s3": moved.jitter_estimate_m_s3,
-        "jitter_truth_m_s3": moved.jitter_truth_m_s3,
+        "acceleration_error_m_s2": smoothness.acceleration_error_m_s2,
+        "jitter_estimate_m_s3": smoothness.jitter_estimate_m_s3,
+        "jitter_truth_m_s3": smoothness.jitter_truth_m_s3,
         "per_landmark": _per_landmark(x, y, epsilon_mm),
         "per_person": {str(p.person): _brief(point_scores(p.estimate, p.truth, epsilon_mm)) for p in pairs},
         "per_action": per_action(pairs, actions, epsilon_mm) if actions else None,
-        "reliability": None
-        if honest is None
-        else {
-            "level_percent": honest.level_percent.round(6).tolist(),
-            "coverage_percent": honest.coverage_percent.tolist(),
-            "calibration_error_percent": honest.calibration_error_percent,
-            "std_factor": honest.std_factor,
-            "claimed_mm": honest.claimed_mm.tolist(),
-            "found_mm": honest.found_mm.tolist(),
-            "landmarks": honest.n,
-        },
+        "reliability": _reliability(x, y, stacked([p.std for p in pairs])),
         "image": None if rig is None else _image(x, y, rig, epsilon_px),
+    }
+
+
+def _natural_epsilon(x: Array, y: Array) -> dict[str, Any] | None:
+    """Epsilon by the shape of the errors (CF 5.7-5.8) and the scores with it; None with too few errors."""
+    search = epsilon_search(point_errors(x, y))
+    if search is None:
+        return None
+    scores = point_scores(x, y, search.by_lilliefors_mm)
+    return {
+        "by_lilliefors_mm": search.by_lilliefors_mm,
+        "by_r2_mm": search.by_r2_mm,
+        "at_bound": search.at_bound,
+        "mmtp_mm": scores.mmtp_mm,
+        "mmtp_std_mm": scores.mmtp_std_mm,
+        "mmta_percent": scores.mmta_percent,
+    }
+
+
+def _sweep(x: Array, y: Array) -> dict[str, Any]:
+    """Accuracy and precision at every epsilon of SWEEP_MM."""
+    scores = [point_scores(x, y, mm) for mm in SWEEP_MM]
+    return {
+        "epsilon_mm": list(SWEEP_MM),
+        "mmta_percent": [s.mmta_percent for s in scores],
+        "mmtp_mm": [s.mmtp_mm for s in scores],
+        "mmtp_std_mm": [s.mmtp_std_mm for s in scores],
+    }
+
+
+def _aligned(x: Array, y: Array, epsilon_mm: float) -> dict[str, Any]:
+    """Scores before and after each alignment, frame by frame."""
+    alignments = {
+        "none": x,
+        "root": root_aligned(x, y),
+        "rigid": procrustes_aligned(x, y, with_scale=False),
+        "procrustes": procrustes_aligned(x, y),
+    }
+    return {
+        name: _brief(point_scores(moved, y, epsilon_mm), pck_auc_percent(moved, y))
+        for name, moved in alignments.items()
+    }
+
+
+def _reliability(x: Array, y: Array, std: Array) -> dict[str, Any] | None:
+    """Whether the stated uncertainty holds at every level; None when none is stated."""
+    found = reliability(x, y, std)
+    if found is None:
+        return None
+    return {
+        "level_percent": found.level_percent.round(6).tolist(),
+        "coverage_percent": found.coverage_percent.tolist(),
+        "calibration_error_percent": found.calibration_error_percent,
+        "std_factor": found.std_factor,
+        "claimed_mm": found.claimed_mm.tolist(),
+        "found_mm": found.found_mm.tolist(),
+        "landmarks": found.n,
     }
 
 
@@ -164,14 +158,14 @@ def angles_on_reference_skeleton(pairs: Sequence[Pair], epsilon_mm: float | None
     Source: CF 5.3.2, Eq. 5.9 as in `angle_differences`.
     """
     n = len(ANGLES)
-    found, true, matched = [np.zeros((0, n))], [np.zeros((0, n))], [np.zeros((0, len(LANDMARKS)), bool)]
+    estimated, true, matched = [np.zeros((0, n))], [np.zeros((0, n))], [np.zeros((0, len(LANDMARKS)), bool)]
     for p in pairs:
         error = point_errors(p.estimate, p.truth)
         is_matched = np.isfinite(error) if epsilon_mm is None else error <= epsilon_mm
-        found.append(fit_reference_skeleton(np.where(is_matched[..., None], p.estimate, np.nan)).angles)
+        estimated.append(fit_reference_skeleton(np.where(is_matched[..., None], p.estimate, np.nan)).angles)
         true.append(fit_reference_skeleton(p.truth).angles)
         matched.append(is_matched)
-    return angle_differences(np.concatenate(found), np.concatenate(true), np.concatenate(matched))
+    return angle_differences(np.concatenate(estimated), np.concatenate(true), np.concatenate(matched))
 
 
 def offset_calibration(pairs: Sequence[Pair], epsilon_mm: float, learn_share: float) -> dict[str, Any] | None:
@@ -212,7 +206,7 @@ def offset_calibration(pairs: Sequence[Pair], epsilon_mm: float, learn_share: fl
         "before": _brief(point_scores(stacked(before), y, epsilon_mm)),
         "after": _brief(point_scores(stacked(after), y, epsilon_mm)),
         "offset_forward_left_up_mm": {
-            name: [_number(v) for v in row] for name, row in zip(LANDMARKS, mean, strict=True)
+            name: [finite_or_none(v) for v in row] for name, row in zip(LANDMARKS, mean, strict=True)
         },
     }
 
@@ -259,7 +253,9 @@ def _angles(scores: AngleScores) -> dict[str, Any]:
         "mean_deg": scores.mean_deg,
         "std_deg": scores.std_deg,
         "frames": scores.n_frames,
-        "per_angle_deg": {name: _number(v) for name, v in zip(ANGLES, scores.per_angle_deg, strict=True)},
+        "per_angle_deg": {
+            name: finite_or_none(v) for name, v in zip(ANGLES, scores.per_angle_deg, strict=True)
+        },
     }
 
 
@@ -306,10 +302,6 @@ def _image(x: Array, y: Array, rig: CameraRig, epsilon_px: float) -> dict[str, A
     return {
         "epsilon_px": epsilon_px,
         **in_pixels(together),
-        "pck_percent": {f"{px:g}": _number(v) for px, v in zip(PCK_PX, shares, strict=True)},
+        "pck_percent": {f"{px:g}": finite_or_none(v) for px, v in zip(PCK_PX, shares, strict=True)},
         "per_camera": {name: in_pixels(scores) for name, scores in each.items()},
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

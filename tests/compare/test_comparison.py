@@ -12,6 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_session import mocap
 
+from mocap.compare import CompareOptions, compare, evaluate, write_page
+from mocap.compare.hulls import LIMBS
 from mocap.data import LANDMARKS, Camera, CameraRig, Motion, Tracks, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.calibration import write_calibration
@@ -19,9 +21,6 @@ from mocap.io.formats import write_c3d, write_trc
 from mocap.io.poses import SideMap
 from mocap.io.store import StageStore
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
-from mocap.metrics import evaluate
-from mocap.pipeline.comparison import CompareOptions, compare, write_page
-from mocap.pipeline.scoring import LIMBS
 
 FPS = 25.0
 T = 50

@@ -5,8 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from mocap.compare import associate_persons, evaluate
+from mocap.compare.units import length_unit
 from mocap.data import LANDMARKS, Motion, Tracks
-from mocap.metrics import associate_persons, evaluate, length_unit, volume_scores
+from mocap.metrics import volume_scores
 
 KEYS = [
     "mean_error_mm",

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mocap.view.eval_page import EvalPage, eval_html
-from mocap.view.eval_plots import plot_angle_errors, plot_epsilon, plot_reliability, plot_sweep
-from mocap.view.report import Figure
+from mocap.compare.page import EvalPage, eval_html
+from mocap.compare.plots import plot_angle_errors, plot_epsilon, plot_reliability, plot_sweep
+from mocap.view.html import Figure
 
 
 def size(png: bytes) -> tuple[int, int]:

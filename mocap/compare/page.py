@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mocap.errors import MocapError
-from mocap.view.report import (
-    _SCRIPT,
-    _STYLE,
-    SCORES,
+from mocap.view.html import (
     Figure,
-    Score,
-    _data_uri,
-    _none,
-    _number,
-    _text,
-    _verdict_on_scores,
-    _warnings_section,
+    PageSection,
+    escaped,
+    faint,
+    figures_html,
+    number_text,
+    page_html,
+    score_cards,
+    score_table,
+    verdict_on_scores,
+    warning_list,
+    write_html,
 )
 
 _HEADLINE = (
@@ -33,25 +32,6 @@ _HEADLINE = (
     "hota_percent",
     "volume_iou",
 )
-_MORE_SCORES = {
-    "pck_auc_percent": Score(
-        "PCK, area under the curve",
-        "%",
-        "Share of correct landmarks, averaged over thresholds from 0 to 150 mm.",
-    ),
-    "hota_percent": Score(
-        "HOTA (tracking)", "%", "Detection and identity of persons in one number; 100 % is perfect."
-    ),
-    "acceleration_error_m_s2": Score(
-        "Acceleration error", "m/s²", "Difference of the accelerations: trembling shows here."
-    ),
-    "jitter_estimate_m_s3": Score(
-        "Jitter of the estimate", "m/s³", "Mean third derivative of the landmarks."
-    ),
-    "jitter_truth_m_s3": Score(
-        "Jitter of the truth", "m/s³", "The same of the truth: what a perfect one has."
-    ),
-}
 _ALIGNMENTS = {
     "none": ("as it is", "in the world frame"),
     "root": ("root-aligned", "pelvis moved onto the true one in every frame"),
@@ -84,85 +64,49 @@ class EvalPage:
 
 def write_eval_page(path: Path, page: EvalPage) -> None:
     """Write the page; an earlier file is replaced only when the new one is complete. MocapError when it cannot be."""
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
-    text = eval_html(page)
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        if part.exists():
-            part.unlink()
-        raise MocapError(
-            f"the page cannot be written: {error.strerror or error}",
-            remedy="choose a folder that exists, is writable and has space left",
-            path=path,
-        ) from error
+    write_html(Path(path), eval_html(page), what="the page")
 
 
 def eval_html(page: EvalPage) -> str:
     """The page as text. Nothing is loaded from anywhere; a content security policy forbids it."""
     s = page.scores
     sections = [
-        ("result", "Result", _result(page)),
-        ("warnings", "Warnings", _warnings_section(s.get("warnings") or ())),
-        ("inputs", "What was compared", _inputs(s)),
-        ("points", "Points", _points(page)),
-        ("epsilon", "Epsilon without a parameter", _epsilon(page)),
-        ("angles", "Angles", _angles(page)),
-        ("offsets", "Different skeletons", _offsets(s)),
+        PageSection("result", "Result", _result(page)),
+        PageSection("warnings", "Warnings", warning_list(s.get("warnings") or ())),
+        PageSection("inputs", "What was compared", _inputs(s)),
+        PageSection("points", "Points", _points(page)),
+        PageSection("epsilon", "Epsilon without a parameter", _epsilon(page)),
+        PageSection("angles", "Angles", _angles(page)),
+        PageSection("offsets", "Different skeletons", _offsets(s)),
     ]
     if s.get("per_action"):
-        sections.append(("actions", "Actions", _actions(s)))
+        sections.append(PageSection("actions", "Actions", _actions(s)))
     if len(s.get("per_person") or {}) > 1:
-        sections.append(("persons", "Persons", _point_table("Person", s["per_person"])))
+        sections.append(PageSection("persons", "Persons", _point_table("Person", s["per_person"])))
     if s.get("reliability"):
-        sections.append(("uncertainty", "Uncertainty", _uncertainty(page)))
+        sections.append(PageSection("uncertainty", "Uncertainty", _uncertainty(page)))
     if s.get("image"):
-        sections.append(("image", "In the pictures", _image(s["image"])))
+        sections.append(PageSection("image", "In the pictures", _image(s["image"])))
     sections += [
-        *([("limbs", "Lost limbs", _limbs(s["lost_limbs"]))] if s.get("lost_limbs") else []),
-        ("numbers", "All numbers", _numbers(s)),
-        (
+        *([PageSection("limbs", "Lost limbs", _limbs(s["lost_limbs"]))] if s.get("lost_limbs") else []),
+        PageSection("numbers", "All numbers", _numbers(s)),
+        PageSection(
             "command",
             "Command",
-            f"<pre>{_text(page.command)}</pre>" if page.command else _none("Not recorded."),
+            f"<pre>{escaped(page.command)}</pre>" if page.command else faint("Not recorded."),
         ),
     ]
-    navigation = "".join(f'<a href="#{key}">{_text(name)}</a>' for key, name, _ in sections)
-    body = "".join(
-        f'<section id="{key}" aria-labelledby="h-{key}"><h2 id="h-{key}">{_text(name)}</h2>{content}</section>'
-        for key, name, content in sections
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
-        "style-src 'unsafe-inline'; script-src 'unsafe-inline'\">"
-        f"<title>{_text(page.title)}</title><style>{_STYLE}</style></head><body>"
-        f'<header><p class="kicker">Evaluation of motion</p><h1>{_text(page.title)}</h1>'
-        f'<nav aria-label="Sections">{navigation}</nav></header><main>{body}</main>'
-        '<dialog id="zoom" aria-label="Enlarged picture"><img alt=""><p></p></dialog>'
-        f"<script>{_SCRIPT}</script></body></html>\n"
-    )
+    return page_html(page.title, "Evaluation of motion", sections)
 
 
 def _result(page: EvalPage) -> str:
     s = page.scores
-    said = _verdict_on_scores(s) if s.get("mean_error_mm") is not None else []
+    said = verdict_on_scores(s) if s.get("mean_error_mm") is not None else []
     if s.get("unit_warning"):
         said = ["A unit is probably wrong, so that the errors below say nothing: see the warnings."]
     lead = said[0] if said else "Nobody of the truth was found in the estimate, so there is no error to give."
-    out = f'<p class="lead">{_text(lead)}</p>' + "".join(f"<p>{_text(t)}</p>" for t in said[1:])
-    cards = [(_score(key), s[key]) for key in _HEADLINE if s.get(key) is not None]
-    out += '<div class="cards">'
-    for score, value in cards:
-        unit = f" <small>{_text(score.unit)}</small>" if score.unit else ""
-        out += (
-            f'<div class="card"><p class="name">{_text(score.name)}</p><p class="value">'
-            f'{_number(value, score.unit)}{unit}</p><p class="hint">{_text(score.meaning)}</p></div>'
-        )
-    return out + "</div>"
+    out = f'<p class="lead">{escaped(lead)}</p>' + "".join(f"<p>{escaped(t)}</p>" for t in said[1:])
+    return f'{out}<div class="cards">{score_cards(s, _HEADLINE)}</div>'
 
 
 def _inputs(s: Mapping[str, Any]) -> str:
@@ -181,7 +125,7 @@ def _inputs(s: Mapping[str, Any]) -> str:
     body = ""
     for name, key in rows:
         cells = [s.get(side, {}).get(key) for side in ("estimate", "truth")]
-        shown = ["not known" if c is None else _text(c) for c in cells]
+        shown = ["not known" if c is None else escaped(c) for c in cells]
         body += f'<tr><th scope="row">{name}</th><td>{shown[0]}</td><td>{shown[1]}</td></tr>'
     out = (
         '<div class="scroll"><table class="narrow"><thead><tr><th></th><th scope="col">Estimate</th>'
@@ -191,7 +135,7 @@ def _inputs(s: Mapping[str, Any]) -> str:
     if notes:
         out += (
             "<p>What had to be assumed or left out:</p><ul>"
-            + "".join(f"<li>{_text(n)}</li>" for n in notes)
+            + "".join(f"<li>{escaped(n)}</li>" for n in notes)
             + "</ul>"
         )
     return out
@@ -206,7 +150,7 @@ def _points(page: EvalPage) -> str:
     }
     words = "; ".join(f"{name}: {what}" for name, what in _ALIGNMENTS.values())
     out = (
-        f"<p>{_text(words[0].upper() + words[1:])}. A large difference between the rows says that the body stands or "
+        f"<p>{escaped(words[0].upper() + words[1:])}. A large difference between the rows says that the body stands or "
         "faces wrongly rather than that its limbs do.</p>" + _point_table("Alignment", rows)
     )
     out += _plots(page, "points")
@@ -230,12 +174,12 @@ def _points(page: EvalPage) -> str:
 def _epsilon(page: EvalPage) -> str:
     search = page.scores.get("epsilon_search")
     if not search:
-        return _none("Too few errors to say anything about their distribution.") + _plots(page, "epsilon")
+        return faint("Too few errors to say anything about their distribution.") + _plots(page, "epsilon")
     out = (
         f"<p>Up to {search['by_lilliefors_mm']:.1f} mm the errors look most like noise by the Lilliefors statistic, "
         f"up to {search['by_r2_mm']:.1f} mm by the straightness of their quantiles. With the first as epsilon, MMTP is "
-        f"{_number(search['mmtp_mm'], 'mm')} ± {_number(search['mmtp_std_mm'], 'mm')} mm and MMTA "
-        f"{_number(search['mmta_percent'], '%')} %.</p>"
+        f"{number_text(search['mmtp_mm'], 'mm')} ± {number_text(search['mmtp_std_mm'], 'mm')} mm and MMTA "
+        f"{number_text(search['mmta_percent'], '%')} %.</p>"
     )
     if search.get("at_bound"):
         out += (
@@ -263,7 +207,7 @@ def _angles(page: EvalPage) -> str:
 def _offsets(s: Mapping[str, Any]) -> str:
     found = s.get("offset_calibration")
     if not found:
-        return _none("Too few common frames to learn offsets and to hold frames out.")
+        return faint("Too few common frames to learn offsets and to hold frames out.")
     rows = {"before": found["before"], "after the offsets": found["after"]}
     offsets = {
         name: dict(zip(("forward", "left", "up"), values, strict=True))
@@ -312,7 +256,7 @@ def _image(found: Mapping[str, Any]) -> str:
 
 def _limbs(found: Mapping[str, Any]) -> str:
     if not found["n_lost"] and not found["n_said"]:
-        return _none(f"None of {found['n_scored']} limbs was without data, and none was said to be.")
+        return faint(f"None of {found['n_scored']} limbs was without data, and none was said to be.")
     shares = {
         name: "does not apply" if found[name] is None else f"{100 * found[name]:.0f} %"
         for name in ("precision", "recall", "f1")
@@ -325,30 +269,11 @@ def _limbs(found: Mapping[str, Any]) -> str:
 
 
 def _numbers(s: Mapping[str, Any]) -> str:
-    rows = ""
-    for key, value in s.items():
-        if isinstance(value, dict | list | str) or key in ("estimate", "truth", "unit_warning"):
-            continue
-        score = _score(key)
-        shown = "does not apply" if value is None else f"{_number(value, score.unit)} {_text(score.unit)}"
-        style = "number faint" if value is None else "number"
-        rows += (
-            f'<tr><th scope="row">{_text(score.name)}<br><code>{_text(key)}</code></th>'
-            f'<td class="{style}">{shown}</td><td>{_text(score.meaning)}</td></tr>'
-        )
-    return (
-        '<div class="scroll"><table><thead><tr><th scope="col">Score</th><th scope="col" class="number">Value</th>'
-        f'<th scope="col">What it means</th></tr></thead><tbody>{rows}</tbody></table></div>'
+    return score_table(
+        (key, value)
+        for key, value in s.items()
+        if not isinstance(value, dict | list | str) and key not in ("estimate", "truth", "unit_warning")
     )
-
-
-def _score(key: str) -> Score:
-    known = SCORES.get(key) or _MORE_SCORES.get(key)
-    if known is not None:
-        return known
-    units = {"_mm": "mm", "_percent": "%", "_deg": "deg"}
-    unit = next((u for end, u in units.items() if key.endswith(end)), "")
-    return Score(key.replace("_", " "), unit, "")
 
 
 def _point_table(first: str, rows: Mapping[str, Mapping[str, Any]]) -> str:
@@ -358,18 +283,19 @@ def _point_table(first: str, rows: Mapping[str, Mapping[str, Any]]) -> str:
 def _table(first: str, columns: Sequence[tuple[str, str]], rows: Mapping[str, Mapping[str, Any]]) -> str:
     """A table of numbers; columns that no row has are left out."""
     used = [(key, name) for key, name in columns if any(row.get(key) is not None for row in rows.values())]
-    heads = "".join(f'<th scope="col" class="number">{_text(name)}</th>' for _, name in used)
+    heads = "".join(f'<th scope="col" class="number">{escaped(name)}</th>' for _, name in used)
     body = ""
     for name, row in rows.items():
         cells = "".join(
             '<td class="number faint">not scored</td>'
             if row.get(key) is None
-            else f'<td class="number">{_number(row[key], "" if key == "frames" else "x")}</td>'
+            else f'<td class="number">{number_text(row[key], "" if key == "frames" else "x")}</td>'
             for key, _ in used
         )
-        body += f'<tr><th scope="row">{_text(_row_name(first, name))}</th>{cells}</tr>'
+        body += f'<tr><th scope="row">{escaped(_row_name(first, name))}</th>{cells}</tr>'
     return (
-        f'<div class="scroll"><table class="narrow"><thead><tr><th scope="col">{_text(first)}</th>{heads}</tr></thead>'
+        '<div class="scroll"><table class="narrow"><thead><tr>'
+        f'<th scope="col">{escaped(first)}</th>{heads}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
 
@@ -379,12 +305,4 @@ def _row_name(first: str, name: str) -> str:
 
 
 def _plots(page: EvalPage, section: str) -> str:
-    out = ""
-    for figure in page.figures.get(section, ()):
-        alt = figure.alt or f"Plot: {figure.title}. {figure.caption}"
-        out += (
-            '<figure class="plot"><button type="button" class="zoom" title="Enlarge">'
-            f'<img src="{_data_uri(figure.image, figure.mime)}" alt="{_text(alt)}"></button>'
-            f"<figcaption><strong>{_text(figure.title)}</strong> {_text(figure.caption)}</figcaption></figure>"
-        )
-    return out
+    return figures_html(page.figures.get(section, ()))
