@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mocap.data import Camera
 from mocap.synth import load_scene
 from mocap.synth.render import CameraView
-from mocap.synth.session import World, build_world
+from mocap.synth.world import World, build_world
 
 Image = NDArray[np.uint8]
 

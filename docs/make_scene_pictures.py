@@ -20,8 +20,8 @@ from mocap.synth import load_scene
 from mocap.synth.markers import Sight, simulate_detector
 from mocap.synth.preview import render_moments
 from mocap.synth.render import CameraView
-from mocap.synth.session import build_world
 from mocap.synth.views import Witness
+from mocap.synth.world import build_world
 
 Image = NDArray[np.uint8]
 

@@ -93,8 +93,8 @@ def make_clip(action: str, n_frames: int | None) -> Clip:
     from mocap.synth.markers import Sight
     from mocap.synth.render import CameraView
     from mocap.synth.scene import load_scene
-    from mocap.synth.session import build_world
     from mocap.synth.views import Witness
+    from mocap.synth.world import build_world
 
     scene = load_scene(action)
     document = {**scene.model_dump(), "markers": {}}

@@ -12,11 +12,11 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 STAGES = ("foreground", "volume", "tracking", "body", "likelihood", "filters", "metrics")
-# Package of mocap -> packages of mocap that it may import besides itself, `errors`, `portable` and `threads`.
+# Modules that every package may import.
+EVERYBODYS = ("errors", "threads", "portable", "progress")
+# Package of mocap -> packages of mocap that it may import besides itself and these.
 ARROWS: dict[str, frozenset[str]] = {
-    "errors": frozenset(),
-    "threads": frozenset(),
-    "portable": frozenset(),
+    **{module: frozenset() for module in EVERYBODYS},
     "geometry": frozenset(),
     "data": frozenset({"geometry"}),
     **{stage: frozenset({"data", "geometry"}) for stage in STAGES},
@@ -163,7 +163,7 @@ def violations(path: Path, text: str, root: Path = ROOT) -> list[str]:
         at = f"{where}:{item.line}"
         if top == "mocap" and rest and rest[0] in ARROWS:
             other = rest[0]
-            if other not in (own, "errors", "threads", "portable") and other not in ARROWS[own]:
+            if other not in (own, *EVERYBODYS) and other not in ARROWS[own]:
                 found.append(f"{at}: {own or 'mocap'} must not import {other}")
             if other in LAZY_ROOMS and other != own and not item.is_lazy:
                 found.append(f"{at}: import mocap.{other} inside the function that needs it")

@@ -70,7 +70,8 @@ def make_hulls(scene: str, sizes: Sequence[int] = VOXEL_CM, work: Path = WORK) -
     """Render a scene, segment its pictures and carve it at every voxel size; what is there already is kept."""
     from mocap.pipeline.config import load_config
     from mocap.pipeline.run import run_session
-    from mocap.synth.scene import load_scene, synthesise
+    from mocap.synth.scene import load_scene
+    from mocap.synth.session import synthesise
 
     if is_made(scene, sizes, work):
         return

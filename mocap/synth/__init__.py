@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mocap.synth.preview import preview_sheet, scene_sheet
-    from mocap.synth.scene import Scene, list_scenes, load_scene, synthesise
+    from mocap.synth.scene import Scene, list_scenes, load_scene
+    from mocap.synth.session import synthesise
 
 __all__ = ["Scene", "list_scenes", "load_scene", "preview_sheet", "scene_sheet", "synthesise"]
 
@@ -14,7 +15,7 @@ _HOME = {
     "Scene": "mocap.synth.scene",
     "list_scenes": "mocap.synth.scene",
     "load_scene": "mocap.synth.scene",
-    "synthesise": "mocap.synth.scene",
+    "synthesise": "mocap.synth.session",
     "preview_sheet": "mocap.synth.preview",
     "scene_sheet": "mocap.synth.preview",
 }

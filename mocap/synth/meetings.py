@@ -22,7 +22,7 @@ from mocap.synth.figure import make_figure
 from mocap.synth.furniture import Chair, Table
 from mocap.synth.motions import MOTIONS
 from mocap.synth.scene import Scene, scene_from_dict
-from mocap.synth.session import rng_at
+from mocap.synth.world import rng_at
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]

@@ -77,7 +77,7 @@ def render_moments(
     moments : frames of the clips, or how many, evenly spread.  Masks are black and white.
     """
     from mocap.synth.recorder import Moments, Recorder
-    from mocap.synth.session import build_world
+    from mocap.synth.world import build_world
 
     world = build_world(scene)
     posed = Moments(world, with_light=not scene.masks_only)

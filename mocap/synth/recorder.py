@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from mocap.errors import MocapError
 from mocap.synth.render import GAMMA, CameraView, PosedScene, make_sensor
 from mocap.synth.views import Witness
-
-if TYPE_CHECKING:
-    from mocap.synth.session import World
+from mocap.synth.world import World
 
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]

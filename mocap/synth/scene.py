@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,8 +21,6 @@ from mocap.synth.section import Section as _Section
 
 SCENES_DIR = Path(__file__).resolve().parent / "scenes"
 """Scene files, in folders by purpose; a name is unique over all of them."""
-
-Progress = Callable[[str, int, int], None]
 
 
 class RoomConfig(_Section):
@@ -127,36 +124,6 @@ def load_scene(name_or_path: str | Path) -> Scene:
             f"the scene cannot be read: {error}", path=path, remedy="correct the file"
         ) from error
     return scene_from_dict({"name": path.stem, **document}, path=path)
-
-
-def synthesise(
-    scene: Scene | str | Path,
-    out: Path | str,
-    *,
-    seed: int | None = None,
-    workers: int = 2,
-    body: str | None = None,
-    progress: Progress | None = None,
-) -> Path:
-    """Write the session folder of a scene (or scene name, or TOML file) to `out` and return it.
-
-    seed : replaces the scene's seed and draws other persons.
-    workers : processes over which the cameras are shared; the result does not depend on it.
-    body : replaces the kind of all bodies, "own" or "anny".
-    progress : called as progress(what, done, total); a `what` may run in several rounds.
-    The folder is complete or absent: an earlier session there is replaced at the end, anything else is refused.
-    Raises MocapError without embreex, for an unknown scene, and when `out` holds something that is no session;
-    ValueError for workers < 1.
-    """
-    if workers < 1:
-        raise ValueError(f"workers must be at least 1, got {workers}")
-    from mocap.synth.session import write_session
-
-    checked = scene if isinstance(scene, Scene) else load_scene(scene)
-    if body is not None:
-        document = checked.model_dump(mode="json")
-        checked = scene_from_dict({**document, "persons": [{**p, "body": body} for p in document["persons"]]})
-    return write_session(checked, Path(out), seed=seed, workers=workers, progress=progress)
 
 
 def scene_from_dict(document: dict[str, Any], *, path: Path | None = None) -> Scene:

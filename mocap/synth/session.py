@@ -1,4 +1,4 @@
-"""From a scene to a session folder: bodies, motions, pictures of all cameras, exact truth."""
+"""Session folders: the clips, the calibration and the exact truth of a scene."""
 
 from __future__ import annotations
 
@@ -7,309 +7,128 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.io.calibration import write_calibration
-from mocap.synth.body import Body
-from mocap.synth.faults import Timeline, moved_cameras, room_faults, timeline
-from mocap.synth.figure import JOINT, forward_kinematics, landmarks_of
-from mocap.synth.furniture import furniture_boxes
-from mocap.synth.looks import Look
-from mocap.synth.markers import (
-    BallLook,
-    Balls,
-    Markers,
-    Sight,
-    make_detections,
-    marker_spots,
-    place_markers,
-    write_detections,
-)
-from mocap.synth.motions import MOTIONS, Pose
-from mocap.synth.persons import Person, cast
+from mocap.progress import Progress, silent
+from mocap.synth.markers import Sight, make_detections, write_detections
 from mocap.synth.recorder import Moments, Recorder
-from mocap.synth.render import Paint, PosedScene, Thing, posed_scene, require_embree
-from mocap.synth.rigs import make_rig
-from mocap.synth.rooms import Room, box_corners, make_room
-from mocap.synth.scene import Progress, Scene
+from mocap.synth.render import require_embree
+from mocap.synth.scene import Scene, load_scene, scene_from_dict
 from mocap.synth.truth import write_truth
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Actor:
-    """One person of a prepared scene.
-
-    pose : the motion, of which the session's frame 0 is frame `lead`; position : (M, J, 3) m, rotation :
-    (M, J, 3, 3), world, all of its frames.  landmarks : (T, 15, 3) m, the session's frames.
-    """
-
-    person: int
-    body: Body
-    look: Look
-    pose: Pose
-    position: Array
-    rotation: Array
-    landmarks: Array
-    lead: int = 0
-    markers: Markers | None = None
-
-    def joints(self, instant: float) -> tuple[Array, Array]:
-        """Positions (J, 3) m and rotations (J, 3, 3) at an instant, in frames of the session.
-
-        Between frames every joint turns at constant speed. Instants beyond the motion give its ends.
-        """
-        at = min(max(instant + self.lead, 0.0), len(self.position) - 1.0)
-        k = int(at)
-        share = at - k
-        if share < 1e-9:
-            return self.position[k], self.rotation[k]
-        first = Rotation.from_matrix(self.pose.rotations[k])
-        turn = (first.inv() * Rotation.from_matrix(self.pose.rotations[k + 1])).as_rotvec()
-        local = (first * Rotation.from_rotvec(share * turn)).as_matrix()
-        root = (1 - share) * self.pose.root_position[k] + share * self.pose.root_position[k + 1]
-        position, rotation = forward_kinematics(self.body.figure.offsets, local[None], root[None])
-        return position[0], rotation[0]
-
-    def landmarks_at(self, instant: float) -> Array:
-        """The landmarks (15, 3) m at an instant, in frames of the session."""
-        position, rotation = self.joints(instant)
-        return landmarks_of(self.body.figure, position[None], rotation[None])[0]
-
-    def head_at(self, instant: float) -> Array:
-        """Middle of the head, (3,) m: halfway from the joint under the skull to its top."""
-        position, rotation = self.joints(instant)
-        j = JOINT["head"]
-        return position[j] + rotation[j] @ (0.5 * self.body.figure.head_top)
-
-    def posed(self, instant: float) -> tuple[Array, Array]:
-        """Vertices and normals (V, 3) at an instant, in frames of the session."""
-        return self.body.pose(*self.joints(instant))
+from mocap.synth.world import World, build_world, rng_at
 
 
-@dataclass(frozen=True, eq=False)
-class World:
-    """A scene made concrete by its seed.
-
-    rig : the cameras as calibrated.  cameras : per camera its poses, as calibrated and after each move.
-    timelines : per camera what each of its pictures shows.
-    """
-
-    scene: Scene
-    seed: int
-    room: Room
-    rig: CameraRig
-    cameras: dict[str, tuple[Camera, ...]]
-    timelines: dict[str, Timeline]
-    actors: tuple[Actor, ...]
-
-    def rng(self, *address: int) -> np.random.Generator:
-        """The generator of one address of this world."""
-        return rng_at(self.seed, *address)
-
-    def room_in(self, state: int) -> Room:
-        """The room in a state of a timeline: with new obstacles and switched lamps."""
-        room = self.room
-        for bit, fault in enumerate(room_faults(self.scene.faults)):
-            if state >> bit & 1 and fault.kind == "obstacle":
-                box = box_corners(np.array(fault.lower_m), np.array(fault.upper_m))
-                rgb = np.array([[0.16, 0.19, 0.24]])
-                room = replace(
-                    room,
-                    furniture=np.concatenate([room.furniture, box[None]]),
-                    furniture_rgb=np.concatenate([room.furniture_rgb, rgb]),
-                )
-            elif state >> bit & 1:
-                lights = list(room.lights)
-                lights[fault.lamp] = replace(lights[fault.lamp], power=lights[fault.lamp].power * fault.gain)
-                room = replace(room, lights=tuple(lights))
-        return room
-
-    @property
-    def n_markers(self) -> int:
-        """Markers per person."""
-        return 0 if self.scene.markers is None else len(marker_spots())
-
-    @cached_property
-    def balls(self) -> tuple[Balls, ...]:
-        """The markers to be rendered, one thing per person."""
-        is_seen = self.scene.markers is not None and self.scene.markers.balls
-        return tuple(Balls(a.markers) for a in self.actors if is_seen and a.markers is not None)
-
-    @property
-    def bodies(self) -> tuple[Body, ...]:
-        return tuple(a.body for a in self.actors)
-
-    @cached_property
-    def things(self) -> tuple[Thing, ...]:
-        """All that is rendered: the bodies of the persons, then their balls in the same order."""
-        return (*self.bodies, *self.balls)
-
-    @cached_property
-    def looks(self) -> tuple[Paint, ...]:
-        """The colours of the things."""
-        return (*(a.look for a in self.actors), *(BallLook() for _ in self.balls))
-
-    def owner_of_thing(self, posed: PosedScene, face: int) -> int:
-        """Index of the person that a face of the posed scene belongs to, -1 for none."""
-        return -1 if face < 0 else self._thing_of_face(posed, face)[0] % len(self.actors)
-
-    def ball_of_face(self, posed: PosedScene, face: int) -> int:
-        """Index of the marker whose ball a face of the posed scene belongs to, -1 for none."""
-        if face < 0:
-            return -1
-        thing, vertex = self._thing_of_face(posed, face)
-        k = thing - len(self.actors)
-        return -1 if k < 0 else vertex // self.balls[k].n_vertices_each
-
-    def _thing_of_face(self, posed: PosedScene, face: int) -> tuple[int, int]:
-        """The thing that a face belongs to, and its first vertex within the thing."""
-        vertex = int(posed.faces[face, 0])
-        i = int(np.searchsorted(posed.first_vertex[1:], vertex, side="right"))
-        return posed.things[i], vertex - posed.first_vertex[i]
-
-    def at(self, instant: float, *, with_light: bool = True) -> PosedScene:
-        """All bodies at an instant, in frames of the session, ready for ray casting."""
-        posed = {i: a.posed(instant) for i, a in enumerate(self.actors)}
-        posed = {i: p for i, p in posed.items() if self.room.holds_some(p[0])}
-        for k, balls in enumerate(self.balls):
-            if k in posed:
-                posed[len(self.actors) + k] = balls.pose(balls.markers.positions(*posed[k]))
-        return posed_scene(
-            tuple(self.things[i] for i in posed),
-            list(posed.values()),
-            self.room,
-            things=tuple(posed),
-            with_light=with_light,
-        )
-
-
-def rng_at(seed: int, *address: int) -> np.random.Generator:
-    """The generator of one address; independent of every other address and of the order of use."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=address))
-
-
-def build_world(scene: Scene, *, seed: int | None = None) -> World:
-    """Room, rig, bodies and motions of a scene.
-
-    seed : replaces the scene's seed and moves the persons' seeds along with it.
-    """
-    base = scene.seed if seed is None else seed
-    furniture, tint = furniture_boxes(scene.room.furniture)
-    room = make_room(
-        scene.room.size_m, floor=scene.room.floor, furniture=furniture, tint=tint, rng=rng_at(base, 1)
-    )
-    rig = make_rig(scene.rig, room, rng=rng_at(base, 2))
-    cameras = {c.name: moved_cameras(c, scene.faults) for c in rig}
-    timelines = {n: timeline(n, scene.faults, scene.n_frames, scene.fps) for n in rig.names}
-    shutter_frames = (scene.picture.exposure_ms + scene.picture.readout_ms) / 1000 * scene.fps / 2
-    lead = max(0, int(np.ceil(shutter_frames - min(t.instant.min() for t in timelines.values()))))
-    last = max(float(t.instant.max()) for t in timelines.values()) + shutter_frames
-    n_motion = lead + max(scene.n_frames, int(np.ceil(last)) + 1)
-    shift = 0 if seed is None else seed * 7919
-    actors = tuple(
-        _actor(scene, room, i + 1, person, person.seed + shift, lead=lead, n_motion=n_motion)
-        for i, person in enumerate(scene.persons)
-    )
-    return World(scene, base, room, rig, cameras, timelines, actors)
-
-
-def _actor(
-    scene: Scene, room: Room, number: int, person: Person, seed: int, *, lead: int, n_motion: int
-) -> Actor:
-    """One person; the motion begins `lead` frames before the session and has `n_motion` frames."""
-    body, look = cast(person, room, lambda k: rng_at(seed, k))
-    arguments = person.motion.arguments()
-    if "start_s" in arguments:
-        arguments["start_s"] += lead / scene.fps
-    if person.motion.kind == "fall":
-        arguments["body"] = body  # what touches the floor is the flesh that is rendered
-    try:
-        pose = MOTIONS[person.motion.kind](body.figure, n_motion, scene.fps, rng=rng_at(seed, 6), **arguments)
-    except ValueError as error:  # what only this body cannot do, such as a seat too high for its legs
-        raise MocapError(f"persons.{number - 1}.motion: {error}", remedy="correct the scene file") from error
-    position, rotation = forward_kinematics(body.figure.offsets, pose.rotations, pose.root_position)
-    landmarks = landmarks_of(body.figure, position, rotation)[lead : lead + scene.n_frames]
-    markers = None if scene.markers is None else place_markers(body, scene.markers.radius_m)
-    return Actor(number, body, look, pose, position, rotation, landmarks, lead, markers)
-
-
-def write_session(
-    scene: Scene, out: Path, *, seed: int | None, workers: int, progress: Progress | None
+def synthesise(
+    scene: Scene | str | Path,
+    out: Path | str,
+    *,
+    seed: int | None = None,
+    workers: int = 2,
+    body: str | None = None,
+    progress: Progress = silent,
 ) -> Path:
-    """Write the session folder of a scene; see `mocap.synth.scene.synthesise`."""
+    """Write the session folder of a scene (or scene name, or TOML file) to `out` and return it.
+
+    seed : replaces the scene's seed and draws other persons.
+    workers : processes over which the cameras are shared; the result does not depend on it.
+    body : replaces the kind of all bodies, "own" or "anny".
+    progress : a `what` may count from the start more than once.
+    The folder is complete or absent: an earlier session there is replaced at the end, anything else is refused.
+    Raises MocapError without embreex, for an unknown scene, and when `out` holds something that is no session;
+    ValueError for workers < 1.
+    """
+    if workers < 1:
+        raise ValueError(f"workers must be at least 1, got {workers}")
+    checked = scene if isinstance(scene, Scene) else load_scene(scene)
+    if body is not None:
+        document = checked.model_dump(mode="json")
+        checked = scene_from_dict({**document, "persons": [{**p, "body": body} for p in document["persons"]]})
     require_embree()
-    if out.exists() and (
-        not out.is_dir() or (any(out.iterdir()) and not (out / "truth" / "truth.json").is_file())
-    ):
-        raise MocapError(
-            "the output folder exists and is not a synthetic session", path=out, remedy="give another folder"
-        )
-    report = progress or (lambda what, done, total: None)
-    report("bodies", 0, 1)
-    world = build_world(scene, seed=seed)
-    report("bodies", 1, 1)
+    out = Path(out)
+    _refuse_foreign(out)
+    progress("bodies", 0, 1)
+    world = build_world(checked, seed=seed)
+    progress("bodies", 1, 1)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as scratch:
         folder = Path(scratch) / "session"
         folder.mkdir()
-        groups = [list(world.rig.names[k :: max(workers, 1)]) for k in range(max(workers, 1))]
-        # This process writes the truth too: it takes the smallest group.
-        groups = [g for g in groups if g][::-1]
-        total = len(world.rig) * scene.n_frames
-        jobs = _start_workers(scene, seed, groups[1:], folder, Path(scratch))
-        try:
-            _write_head(world, folder)
-
-            def pictures(share: float) -> None:
-                report("pictures", round(share * total), total)
-
-            render_cameras(world, groups[0], folder, progress=pictures)
-            write_truth(world, folder / "truth", report)
-            for job in jobs:
-                if job.wait() != 0:
-                    raise RuntimeError(f"a rendering process failed with exit code {job.returncode}")
-            _write_detections(world, folder)
-        finally:
-            for job in jobs:
-                if job.poll() is None:
-                    job.terminate()
-                    job.wait()
-        report("pictures", total, total)
+        _fill(world, folder, Path(scratch), seed=seed, workers=workers, progress=progress)
         if out.exists():
             shutil.rmtree(out)
         folder.rename(out)
     return out
 
 
-def _start_workers(
-    scene: Scene, seed: int | None, groups: list[list[str]], folder: Path, scratch: Path
-) -> list[subprocess.Popen[bytes]]:
-    """Processes that render the other groups of cameras; each builds the same world from the same seed."""
-    jobs = []
-    for k, names in enumerate(groups):
-        job = scratch / f"job_{k}.json"
-        job.write_text(
-            json.dumps(
-                {"scene": scene.model_dump(mode="json"), "seed": seed, "cameras": names, "out": str(folder)}
-            )
+def _refuse_foreign(out: Path) -> None:
+    """MocapError when `out` holds something that this module has not written."""
+    if not out.exists() or (out / "truth" / "truth.json").is_file():
+        return
+    if not out.is_dir() or any(out.iterdir()):
+        raise MocapError(
+            "the output folder exists and is not a synthetic session", path=out, remedy="give another folder"
         )
-        # A fresh interpreter: forking a process that has used OpenCV's threads can hang.
-        code = "import sys; sys.path[:0] = sys.argv[2:]; from mocap.synth import session; session.work(sys.argv[1])"
-        root = str(Path(__file__).resolve().parents[2])  # the folder that holds the package
-        jobs.append(subprocess.Popen([sys.executable, "-c", code, str(job), root]))
-    return jobs
+
+
+def _fill(
+    world: World, folder: Path, scratch: Path, *, seed: int | None, workers: int, progress: Progress
+) -> None:
+    """All files of a session; the cameras are shared between this process and others."""
+    groups = [list(world.rig.names[k::workers]) for k in range(workers)]
+    # This process writes the truth too: it takes the smallest group.
+    groups = [g for g in groups if g][::-1]
+    total = len(world.rig) * world.scene.n_frames
+
+    def pictures(share: float) -> None:
+        progress("pictures", round(share * total), total)
+
+    with _rendering(world.scene, seed, groups[1:], folder, scratch) as jobs:
+        _write_head(world, folder)
+        render_cameras(world, groups[0], folder, progress=pictures)
+        write_truth(world, folder / "truth", progress)
+        for job in jobs:
+            if job.wait() != 0:
+                raise RuntimeError(f"a rendering process failed with exit code {job.returncode}")
+        _write_detections(world, folder)
+    progress("pictures", total, total)
+
+
+@contextmanager
+def _rendering(
+    scene: Scene, seed: int | None, groups: list[list[str]], folder: Path, scratch: Path
+) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """Processes that render groups of cameras, none of which outlives the block; each builds the world from its seed."""
+    jobs = []
+    try:
+        for k, names in enumerate(groups):
+            job = scratch / f"job_{k}.json"
+            job.write_text(
+                json.dumps(
+                    {
+                        "scene": scene.model_dump(mode="json"),
+                        "seed": seed,
+                        "cameras": names,
+                        "out": str(folder),
+                    }
+                )
+            )
+            # A fresh interpreter: forking a process that has used OpenCV's threads can hang.
+            code = "import sys; sys.path[:0] = sys.argv[2:]; from mocap.synth import session; session.work(sys.argv[1])"
+            root = str(Path(__file__).resolve().parents[2])  # the folder that holds the package
+            jobs.append(subprocess.Popen([sys.executable, "-c", code, str(job), root]))
+        yield jobs
+    finally:
+        for process in jobs:
+            if process.poll() is None:
+                process.terminate()
+                process.wait()
 
 
 def work(job_file: str) -> None:
@@ -323,26 +142,31 @@ def render_cameras(
     world: World, names: list[str], folder: Path, *, progress: Callable[[float], None] | None = None
 ) -> None:
     """Clips, background clips and true silhouettes of some cameras.  progress : called with the share done."""
-    scene = world.scene
     n_threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the pictures are small and there is a process per core
     recorders = [Recorder(world, n, folder) for n in names]
-    moments = Moments(world, with_light=not scene.masks_only)
     try:
-        if scene.with_background and not scene.masks_only:
-            for recorder in recorders:
-                recorder.record_background()
-        last = max(len(r.timeline) for r in recorders)
-        for frame in range(last):
-            for recorder in recorders:
-                if frame < len(recorder.timeline):
-                    recorder.record(frame, moments)
-            if progress is not None:
-                progress((frame + 1) / last)
+        _record(world, recorders, progress)
     finally:
         cv2.setNumThreads(n_threads)
         for recorder in recorders:
             recorder.close()
+
+
+def _record(world: World, recorders: list[Recorder], progress: Callable[[float], None] | None) -> None:
+    """The empty room, then picture by picture over all cameras, which share the bodies of an instant."""
+    scene = world.scene
+    moments = Moments(world, with_light=not scene.masks_only)
+    if scene.with_background and not scene.masks_only:
+        for recorder in recorders:
+            recorder.record_background()
+    last = max(len(r.timeline) for r in recorders)
+    for frame in range(last):
+        for recorder in recorders:
+            if frame < len(recorder.timeline):
+                recorder.record(frame, moments)
+        if progress is not None:
+            progress((frame + 1) / last)
 
 
 def _write_detections(world: World, folder: Path) -> None:

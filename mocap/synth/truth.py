@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Camera, Motion, Tracks, VoxelGrid
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
+from mocap.progress import Progress
 from mocap.synth.body import Body, mesh_volume_and_centroid
 from mocap.synth.figure import JOINTS, forward_kinematics, landmarks_of
-from mocap.synth.scene import Progress
 from mocap.synth.voxelise import solid_voxels
-
-if TYPE_CHECKING:
-    from mocap.synth.session import World
+from mocap.synth.world import World
 
 Array = NDArray[np.float64]
 

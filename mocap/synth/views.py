@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,7 @@ from mocap.synth.body import Body
 from mocap.synth.figure import JOINT, PARENTS
 from mocap.synth.markers import Sight
 from mocap.synth.render import CameraView, PosedScene
-
-if TYPE_CHECKING:
-    from mocap.synth.session import World
+from mocap.synth.world import World
 
 Array = NDArray[np.float64]
 States = NDArray[np.uint8]

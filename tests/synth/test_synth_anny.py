@@ -14,9 +14,10 @@ from mocap.synth.body import Body, mesh_volume_and_centroid
 from mocap.synth.figure import JOINT, forward_kinematics, landmarks_of
 from mocap.synth.motions import MOTIONS
 from mocap.synth.motions.anatomy import pose_of
-from mocap.synth.scene import scene_from_dict, synthesise
-from mocap.synth.session import build_world
+from mocap.synth.scene import scene_from_dict
+from mocap.synth.session import synthesise
 from mocap.synth.voxelise import solid_voxels
+from mocap.synth.world import build_world
 
 PEOPLE = [(1.78, "male", False), (1.64, "female", False), (1.15, "female", True)]
 STATURE_M = 0.01  # halving the interval of a shape number 18 times leaves less

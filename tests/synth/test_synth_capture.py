@@ -431,7 +431,7 @@ def _check_real_directions(was: dict[str, Array], now: dict[str, Array]) -> None
 
 
 def test_captures_in_scene_files(tmp_path: Path) -> None:
-    from mocap.synth.session import build_world
+    from mocap.synth.world import build_world
 
     _write_walk(tmp_path, _figure())
     _write_map(tmp_path)

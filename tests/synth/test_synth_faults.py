@@ -22,7 +22,7 @@ from mocap.synth.faults import Timeline, moved_cameras, timeline
 from mocap.synth.recorder import shutter
 from mocap.synth.render import GAMMA, CameraView
 from mocap.synth.scene import Scene, scene_from_dict
-from mocap.synth.session import World, build_world
+from mocap.synth.world import World, build_world
 
 W, H, C, T, FPS = 96, 72, 8, 9, 30.0
 FAULTS: list[dict[str, Any]] = [

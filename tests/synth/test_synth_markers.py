@@ -28,8 +28,8 @@ from mocap.synth.markers import (
 )
 from mocap.synth.render import CameraView
 from mocap.synth.scene import Scene, scene_from_dict
-from mocap.synth.session import World, build_world
 from mocap.synth.views import Witness
+from mocap.synth.world import World, build_world
 
 W, H, C, T, M = 160, 120, 4, 3, 20
 N_SIGMA = 5.0  # a false alarm in millions

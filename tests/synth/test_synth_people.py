@@ -27,8 +27,8 @@ from mocap.synth.motions import MOTIONS, Path
 from mocap.synth.motions.anatomy import pose_of
 from mocap.synth.persons import Person
 from mocap.synth.scene import scene_from_dict
-from mocap.synth.session import build_world
 from mocap.synth.voxelise import solid_voxels
+from mocap.synth.world import build_world
 
 CELL_M = 0.028  # coarser than the default: the tests are about shape, not finish
 

@@ -22,7 +22,7 @@ from mocap.synth.render import CameraView
 from mocap.synth.rigs import make_rig
 from mocap.synth.rooms import Room, box_corners, make_room
 from mocap.synth.scene import Scene, scene_from_dict
-from mocap.synth.session import World, build_world
+from mocap.synth.world import World, build_world
 
 W, H = 160, 120
 # Bodies are built with their own girth, which moves a hip by less than this against the plan.

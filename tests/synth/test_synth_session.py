@@ -22,7 +22,7 @@ from mocap.io.video import iter_clip
 from mocap.synth import preview_sheet, scene_sheet, synthesise
 from mocap.synth.render import CameraView, make_sensor
 from mocap.synth.scene import Scene, scene_from_dict
-from mocap.synth.session import World, build_world
+from mocap.synth.world import World, build_world
 
 W, H, C, T = 160, 120, 3, 5
 

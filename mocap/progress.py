@@ -1,0 +1,12 @@
+"""Progress of long work, as everybody who does some tells it to whoever shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+Progress = Callable[[str, int, int], None]
+"""Called as progress(what, done, total) each time something of `what` is finished."""
+
+
+def silent(what: str, done: int, total: int) -> None:
+    """The progress that nobody looks at."""
