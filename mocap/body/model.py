@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
@@ -230,50 +231,64 @@ def parse_body_model(text: str, path: Path) -> BodyModel:
 
 
 def _check_tree(model: BodyModel, path: Path) -> None:
-    def fail(message: str) -> None:
-        raise MocapError(f"body file: {message}", path=path, remedy="see docs/bodies.md for the schema")
+    """MocapError for the first mistake in how joints, parts and landmarks hang together."""
+    mistake = next(_mistakes(model), None)
+    if mistake is not None:
+        raise MocapError(f"body file: {mistake}", path=path, remedy="see docs/bodies.md for the schema")
 
-    seen: set[str] = set()
+
+def _mistakes(model: BodyModel) -> Iterator[str]:
+    joints = [j.name for j in model.joint]
     for i, joint in enumerate(model.joint):
-        if joint.name in seen:
-            fail(f"joint {joint.name} is defined twice")
-        if (i == 0) != (joint.parent == ""):
-            fail(f"joint {joint.name}: exactly the first joint has no parent")
-        if joint.parent and joint.parent not in seen:
-            fail(f"joint {joint.name}: parent {joint.parent} must be defined before it")
-        if (joint.translation_speed is not None) != (i == 0):
-            fail(f"joint {joint.name}: exactly the first joint has translation_speed")
-        for dof in joint.dofs:
-            if not dof.limits[0] <= dof.limits[1]:
-                fail(f"dof {dof.name}: limits {list(dof.limits)} are not in ascending order")
-        seen.add(joint.name)
+        yield from _mistakes_of_joint(joint, joints[:i])
     if not model.joint:
-        fail("there is no joint")
+        yield "there is no joint"
     names = [*_ROOT_COLUMNS, *(d.name for j in model.joint for d in j.dofs)]
     if len(set(names)) != len(names):
-        fail("names of dofs are not unique")
-    parts: set[str] = set()
+        yield "names of dofs are not unique"
+    parts = [p.name for p in model.part]
     for i, part in enumerate(model.part):
-        if (i == 0) != (part.parent == "") or (part.parent and part.parent not in parts):
-            fail(f"part {part.name}: parents come first, and only the first part has none")
-        if part.name in parts:
-            fail(f"part {part.name} is defined twice")
-        if not part.cones:
-            fail(f"part {part.name} has no cones")
-        for cone in part.cones:
-            if cone.joint not in seen:
-                fail(f"part {part.name}: cone on unknown joint {cone.joint}")
-            if min(cone.radii) <= 0:
-                fail(f"part {part.name}: radii must be positive")
-        parts.add(part.name)
+        yield from _mistakes_of_part(part, parts[:i], joints)
     if not 1 <= len(model.part) <= MAX_PARTS:
-        fail(f"{len(model.part)} parts; 1 to {MAX_PARTS} are supported")
+        yield f"{len(model.part)} parts; 1 to {MAX_PARTS} are supported"
     for name, landmark in model.landmarks.items():
-        if landmark.joint not in seen:
-            fail(f"landmark {name}: unknown joint {landmark.joint}")
+        if landmark.joint not in joints:
+            yield f"landmark {name}: unknown joint {landmark.joint}"
     missing = [n for n in LANDMARKS if n not in model.landmarks]
     if missing:
-        fail(f"landmarks missing: {', '.join(missing)}")
+        yield f"landmarks missing: {', '.join(missing)}"
+
+
+def _mistakes_of_joint(joint: JointSpec, before: Sequence[str]) -> Iterator[str]:
+    """before : names of the joints that are defined before it."""
+    is_first = not before
+    if joint.name in before:
+        yield f"joint {joint.name} is defined twice"
+    if is_first != (joint.parent == ""):
+        yield f"joint {joint.name}: exactly the first joint has no parent"
+    if joint.parent and joint.parent not in before:
+        yield f"joint {joint.name}: parent {joint.parent} must be defined before it"
+    if (joint.translation_speed is not None) != is_first:
+        yield f"joint {joint.name}: exactly the first joint has translation_speed"
+    for dof in joint.dofs:
+        if not dof.limits[0] <= dof.limits[1]:
+            yield f"dof {dof.name}: limits {list(dof.limits)} are not in ascending order"
+
+
+def _mistakes_of_part(part: PartSpec, before: Sequence[str], joints: Sequence[str]) -> Iterator[str]:
+    """before : names of the parts that are defined before it."""
+    is_first = not before
+    if is_first != (part.parent == "") or (part.parent and part.parent not in before):
+        yield f"part {part.name}: parents come first, and only the first part has none"
+    if part.name in before:
+        yield f"part {part.name} is defined twice"
+    if not part.cones:
+        yield f"part {part.name} has no cones"
+    for cone in part.cones:
+        if cone.joint not in joints:
+            yield f"part {part.name}: cone on unknown joint {cone.joint}"
+        if min(cone.radii) <= 0:
+            yield f"part {part.name}: radii must be positive"
 
 
 def scale_body(model: BodyModel, height_m: float) -> Body:
@@ -284,72 +299,78 @@ def scale_body(model: BodyModel, height_m: float) -> Body:
     """
     if not (math.isfinite(height_m) and height_m > 0):
         raise ValueError(f"height_m must be positive, got {height_m}")
-    joints = tuple(j.name for j in model.joint)
-    index = {name: i for i, name in enumerate(joints)}
-    parts = tuple(p.name for p in model.part)
-    part_index = {name: i for i, name in enumerate(parts)}
+    index = {joint.name: i for i, joint in enumerate(model.joint)}
     parent = np.array([index.get(j.parent, -1) for j in model.joint], dtype=np.int64)
-    offset = np.array([j.offset for j in model.joint]) * height_m
-
-    names = list(_ROOT_COLUMNS)
-    lower = [-math.inf] * 3
-    upper = [math.inf] * 3
-    speed = list(model.joint[0].translation_speed or (1.0, 1.0, 1.0))
-    circular = [False] * 3
-    usual_std = [math.inf] * 3
-    dof_joint, dof_axis, column_joint = [], [], [0, 0, 0]
-    for j, joint in enumerate(model.joint):
-        for dof in joint.dofs:
-            names.append(dof.name)
-            lower.append(-math.inf if dof.circular else dof.limits[0])
-            upper.append(math.inf if dof.circular else dof.limits[1])
-            speed.append(dof.speed)
-            circular.append(dof.circular)
-            usual_std.append(math.inf if dof.usual_std is None else dof.usual_std)
-            dof_joint.append(j)
-            dof_axis.append(_AXES[dof.axis])
-            column_joint.append(j)
-
-    cones = [(c, part_index[p.name]) for p in model.part for c in p.cones]
-    # A column belongs to the first part whose flesh it moves.
-    part_of_column = []
-    for j in column_joint:
-        moved = [p for c, p in cones if _is_ancestor(parent, j, index[c.joint])]
-        part_of_column.append(min(moved) if moved else 0)
-    layout = StateLayout(
-        names=tuple(names),
-        lower=np.array(lower),
-        upper=np.array(upper),
-        is_circular=np.array(circular),
-        parts=parts,
-        part_of_column=np.array(part_of_column, dtype=np.int64),
-        parent_of_part=np.array([part_index.get(p.parent, -1) for p in model.part], dtype=np.int64),
-    )
+    # The columns after the root's position are the degrees of freedom, joint by joint.
+    dofs = [(j, dof) for j, joint in enumerate(model.joint) for dof in joint.dofs]
+    landmarks = [model.landmarks[name] for name in LANDMARKS]
+    root_speed = model.joint[0].translation_speed or (1.0, 1.0, 1.0)
     return Body(
         name=model.name,
         height_m=float(height_m),
-        joints=joints,
+        joints=tuple(index),
         parent=parent,
-        offset=offset,
-        dof_joint=np.array(dof_joint, dtype=np.int64),
-        dof_axis=np.array(dof_axis, dtype=np.int64),
-        dof_column=np.arange(3, len(names), dtype=np.int64),
-        layout=layout,
-        max_speed=np.array(speed),
-        usual_std=np.array(usual_std),
-        landmark_joint=np.array([index[model.landmarks[n].joint] for n in LANDMARKS], dtype=np.int64),
-        landmark_offset=np.array([model.landmarks[n].offset for n in LANDMARKS]) * height_m,
-        cones=Cones(
-            start=np.array([c.start for c, _ in cones]) * height_m,
-            end=np.array([c.end for c, _ in cones]) * height_m,
-            radii=np.array([c.radii for c, _ in cones]) * height_m,
-            joint=np.array([index[c.joint] for c, _ in cones], dtype=np.int64),
-            part=np.array([p for _, p in cones], dtype=np.int64),
-        ),
+        offset=np.array([j.offset for j in model.joint]) * height_m,
+        dof_joint=np.array([j for j, _ in dofs], dtype=np.int64),
+        dof_axis=np.array([_AXES[dof.axis] for _, dof in dofs], dtype=np.int64),
+        dof_column=np.arange(3, 3 + len(dofs), dtype=np.int64),
+        layout=_layout(model, dofs, _part_of_column(model, dofs, parent, index)),
+        max_speed=np.array([*root_speed, *(dof.speed for _, dof in dofs)]),
+        usual_std=np.array([math.inf] * 3 + [dof.usual_std or math.inf for _, dof in dofs]),
+        landmark_joint=np.array([index[spec.joint] for spec in landmarks], dtype=np.int64),
+        landmark_offset=np.array([spec.offset for spec in landmarks]) * height_m,
+        cones=_cones(model, index, height_m),
         variance=np.array([p.variance for p in model.part]),
         part_sides=tuple(p.side for p in model.part),
         round_ends=model.round_ends,
         exclusive=model.exclusive,
+    )
+
+
+def _layout(model: BodyModel, dofs: Sequence[tuple[int, DofSpec]], part_of_column: list[int]) -> StateLayout:
+    """The columns of a state: the root's position, then the degrees of freedom."""
+    parts = [p.name for p in model.part]
+    limits = [(-math.inf, math.inf) if dof.circular else dof.limits for _, dof in dofs]
+    return StateLayout(
+        names=(*_ROOT_COLUMNS, *(dof.name for _, dof in dofs)),
+        lower=np.array([-math.inf] * 3 + [lower for lower, _ in limits]),
+        upper=np.array([math.inf] * 3 + [upper for _, upper in limits]),
+        is_circular=np.array([False] * 3 + [dof.circular for _, dof in dofs]),
+        parts=tuple(parts),
+        part_of_column=np.array(part_of_column, dtype=np.int64),
+        parent_of_part=np.array(
+            [parts.index(p.parent) if p.parent else -1 for p in model.part], dtype=np.int64
+        ),
+    )
+
+
+def _part_of_column(
+    model: BodyModel,
+    dofs: Sequence[tuple[int, DofSpec]],
+    parent: NDArray[np.int64],
+    index: dict[str, int],
+) -> list[int]:
+    """Part that each column belongs to: the first one whose flesh it moves."""
+    out = []
+    for j in [0, 0, 0, *(j for j, _ in dofs)]:
+        moved = [
+            k
+            for k, part in enumerate(model.part)
+            if any(_is_ancestor(parent, j, index[cone.joint]) for cone in part.cones)
+        ]
+        out.append(min(moved, default=0))
+    return out
+
+
+def _cones(model: BodyModel, index: dict[str, int], height_m: float) -> Cones:
+    """The flesh of all parts.  index : joint's name -> its number."""
+    cones = [(cone, k) for k, part in enumerate(model.part) for cone in part.cones]
+    return Cones(
+        start=np.array([c.start for c, _ in cones]) * height_m,
+        end=np.array([c.end for c, _ in cones]) * height_m,
+        radii=np.array([c.radii for c, _ in cones]) * height_m,
+        joint=np.array([index[c.joint] for c, _ in cones], dtype=np.int64),
+        part=np.array([k for _, k in cones], dtype=np.int64),
     )
 
 

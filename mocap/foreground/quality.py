@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -68,22 +69,14 @@ def mask_quality(
     is_usable : (T, C).  uncovered : (T, C) share of each mask outside the hull of the other cameras; NaN = not known.
     Raises ValueError for masks or columns that do not match the names.
     """
-    n = len(names)
-    for key, table in {
-        "foreground_share": foreground_share,
-        "shadow_share": shadow_share,
-        "is_usable": is_usable,
-        "uncovered": uncovered,
-    }.items():
-        if table is not None and (table.ndim != 2 or table.shape[1] != n):
-            raise ValueError(f"{key}: expected shape (T, {n}), got {table.shape}")
-    sums = [_Sums() for _ in names]
-    for triple in triples:
-        for masks in triple:
-            if len(masks) != n:
-                raise ValueError(f"triples: expected {n} masks per frame, got {len(masks)}")
-        for c in range(n):
-            sums[c].add(triple[0][c], triple[1][c], triple[2][c])
+    _check_columns(
+        len(names),
+        foreground_share=foreground_share,
+        shadow_share=shadow_share,
+        is_usable=is_usable,
+        uncovered=uncovered,
+    )
+    sums = _sums_of(triples, len(names))
     return [
         _judged(
             name,
@@ -95,6 +88,25 @@ def mask_quality(
         )
         for c, name in enumerate(names)
     ]
+
+
+def _check_columns(n: int, **tables: NDArray[Any] | None) -> None:
+    """ValueError for a table that has not one column for each of n cameras."""
+    for key, table in tables.items():
+        if table is not None and (table.ndim != 2 or table.shape[1] != n):
+            raise ValueError(f"{key}: expected shape (T, {n}), got {table.shape}")
+
+
+def _sums_of(triples: Iterable[Triple], n: int) -> list[_Sums]:
+    """Counts of n cameras over the triples."""
+    sums = [_Sums() for _ in range(n)]
+    for triple in triples:
+        for masks in triple:
+            if len(masks) != n:
+                raise ValueError(f"triples: expected {n} masks per frame, got {len(masks)}")
+        for c in range(n):
+            sums[c].add(triple[0][c], triple[1][c], triple[2][c])
+    return sums
 
 
 def triples_of(frames: Iterable[Sequence[Mask]]) -> Iterator[Triple]:

@@ -198,12 +198,7 @@ class Segmenter:
         they are not absorbed into the background however long they stay. It does not change this mask.
         Raises ValueError for another shape than the background's.
         """
-        if image.shape != self.shape or image.dtype != np.uint8:
-            raise ValueError(f"image: expected uint8 of shape {self.shape}, got {image.dtype} {image.shape}")
-        if protect is not None and (protect.shape != self.shape[:2] or protect.dtype != np.bool_):
-            raise ValueError(
-                f"protect: expected bool of shape {self.shape[:2]}, got {protect.dtype} {protect.shape}"
-            )
+        self._check(image, protect)
         if self._subtractor is not None:
             raw = self._subtractor.apply(image, learningRate=_OPENCV_RATE[self.settings.method])
             raw[self._outside != 0] = 0
@@ -213,8 +208,24 @@ class Segmenter:
         rows = np.require(image, requirements=("C", "W")).reshape(self.shape[0], -1)
         if self.settings.compensate_gain:
             rows = self._without_gain(rows)
-        mask, shadow = np.zeros(self.shape[:2], dtype=np.uint8), np.zeros(self.shape[:2], dtype=np.uint8)
-        pieces = [self._split(rows, window, shadow) for window in self._windows(rows)]
+        shadow = np.zeros(self.shape[:2], dtype=np.uint8)
+        mask = self._joined([self._split(rows, window, shadow) for window in self._windows(rows)], shadow)
+        if self.settings.adaptation > 0 or self.settings.hold_frames is not None:
+            self._adapt(rows, protect)
+        return self._answer(mask, shadow)
+
+    def _check(self, image: Image, protect: Mask | None) -> None:
+        """ValueError for pictures of another kind than the background."""
+        if image.shape != self.shape or image.dtype != np.uint8:
+            raise ValueError(f"image: expected uint8 of shape {self.shape}, got {image.dtype} {image.shape}")
+        if protect is not None and (protect.shape != self.shape[:2] or protect.dtype != np.bool_):
+            raise ValueError(
+                f"protect: expected bool of shape {self.shape[:2]}, got {protect.dtype} {protect.shape}"
+            )
+
+    def _joined(self, pieces: list[tuple[_Window, Bytes, _Regions]], shadow: Bytes) -> Bytes:
+        """The mask (H, W) of all windows without small regions; what is foreground is no shadow."""
+        mask = np.zeros(self.shape[:2], dtype=np.uint8)
         least = self.settings.min_area_px * _area_scale(self.shape)
         for _, _, regions in pieces:
             least = max(least, self.settings.min_area_share * regions.area.max(initial=0))
@@ -228,9 +239,7 @@ class Segmenter:
             mask[window.slices] = found[:, :width]
             shadow[window.slices] &= found[:, :width] ^ 1
             self._near[window.slices] |= cv2.dilate(found, _square(5))[:, :width]
-        if self.settings.adaptation > 0 or self.settings.hold_frames is not None:
-            self._adapt(rows, protect)
-        return self._answer(mask, shadow)
+        return mask
 
     def _answer(self, mask: Bytes, shadow: Bytes) -> ForegroundMask:
         share = cv2.countNonZero(mask) / mask.size

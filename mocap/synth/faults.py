@@ -175,12 +175,42 @@ def timeline(camera: str, faults: Sequence[Any], n_frames: int, fps: float) -> T
     Faults of one kind act in the order of the scene; files are cut and repeated last, as a recorder does it.
     """
     mine = [f for f in faults if getattr(f, "camera", camera) == camera]
-    rate = next((f for f in mine if f.kind == "rate"), None)
-    step = 1.0 if rate is None else fps / rate.fps
-    n = n_frames if rate is None or rate.refill else int(np.floor((n_frames - 1) / step + 1e-9)) + 1
-    n -= sum(f.n_frames for f in mine if f.kind == "dropped" and not f.refill)
+    own_fps = next((f.fps for f in mine if f.kind == "rate"), fps)
+    step = fps / own_fps
+    n = _n_pictures(mine, n_frames, step)
     if n < 1:
         raise ValueError(f"camera {camera}: the faults leave no picture of {n_frames}")
+    shot = _shots(mine, n)
+    seconds = np.asarray(shot * step / fps, dtype=np.float64)
+    instant = _instants(mine, shot, seconds, step, fps)
+    return Timeline(
+        shot,
+        instant,
+        pose=sum((shot >= f.frame for f in mine if f.kind == "moved"), np.zeros(n, dtype=np.int64)),
+        state=_states(faults, instant),
+        gain=_gains(mine, shot, instant, seconds, fps),
+        is_off=sum((_between(shot, f) for f in mine if f.kind == "off"), np.zeros(n, dtype=bool)),
+        fps=own_fps,
+    )
+
+
+def _n_pictures(mine: Sequence[Any], n_frames: int, step: float) -> int:
+    """Length of the camera's file.  step : session frames from one of its pictures to the next."""
+    is_cut = any(f.kind == "rate" and not f.refill for f in mine)
+    n = int(np.floor((n_frames - 1) / step + 1e-9)) + 1 if is_cut else n_frames
+    return n - sum(f.n_frames for f in mine if f.kind == "dropped" and not f.refill)
+
+
+def _states(faults: Sequence[Any], instant: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Which of the room's changes hold at instants, as bit patterns."""
+    state = np.zeros(len(instant), dtype=np.int64)
+    for bit, fault in enumerate(room_faults(faults)):
+        state += (1 << bit) * _between(instant, fault)
+    return state
+
+
+def _shots(mine: Sequence[Any], n: int) -> NDArray[np.int64]:
+    """Which of its pictures the camera's file holds, (n,): some are lost, some repeated."""
     shot = np.arange(n, dtype=np.int64)
     for fault in mine:
         if fault.kind == "dropped":
@@ -188,30 +218,39 @@ def timeline(camera: str, faults: Sequence[Any], n_frames: int, fps: float) -> T
     for fault in mine:
         if fault.kind == "frozen" and fault.frame < n:
             shot[fault.frame :][: fault.n_frames] = shot[fault.frame - 1]
-    instant = shot * step
-    seconds = shot * step / fps
-    pose = np.zeros(n, dtype=np.int64)
-    gain = np.ones(n)
-    is_off = np.zeros(n, dtype=bool)
+    return shot
+
+
+def _instants(
+    mine: Sequence[Any], shot: NDArray[np.int64], seconds: NDArray[np.float64], step: float, fps: float
+) -> NDArray[np.float64]:
+    """The moments (n,) that shots show, session frames, by a clock that lags or drifts."""
+    instant = np.asarray(shot * step, dtype=np.float64)
     for fault in mine:
         if fault.kind == "lag":
-            instant = instant - np.where(shot >= fault.frame, fault.lag_frames, 0.0)
+            instant -= np.where(shot >= fault.frame, fault.lag_frames, 0.0)
         elif fault.kind == "offset":
-            instant = instant + (fault.offset_s + seconds * fault.drift_ms_per_s / 1000) * fps
-        elif fault.kind == "moved":
-            pose += shot >= fault.frame
-        elif fault.kind == "off":
-            is_off |= _between(shot, fault)
-        elif fault.kind == "exposure":
+            instant += (fault.offset_s + seconds * fault.drift_ms_per_s / 1000) * fps
+    return instant
+
+
+def _gains(
+    mine: Sequence[Any],
+    shot: NDArray[np.int64],
+    instant: NDArray[np.float64],
+    seconds: NDArray[np.float64],
+    fps: float,
+) -> NDArray[np.float64]:
+    """Linear factors (n,) on the light: of the camera's exposure, then of all lamps together."""
+    gain = np.ones(len(shot))
+    for fault in mine:
+        if fault.kind == "exposure":
             swing = np.sin(2 * np.pi * (seconds - fault.frame / fps) / fault.period_s)
             gain *= np.where(shot >= fault.frame, 1 + fault.amplitude * swing, 1.0)
-    for fault in faults:
+    for fault in mine:
         if fault.kind == "light" and fault.lamp is None:
             gain *= np.where(_between(instant, fault), fault.gain, 1.0)
-    state = np.zeros(n, dtype=np.int64)
-    for bit, fault in enumerate(room_faults(faults)):
-        state += (1 << bit) * _between(instant, fault)
-    return Timeline(shot, instant, pose, state, gain, is_off, fps if rate is None else rate.fps)
+    return gain
 
 
 def _between(clock: NDArray, fault: Any) -> NDArray[np.bool_]:
@@ -248,9 +287,18 @@ def find_mistakes(faults: Sequence[Any], names: Sequence[str], n_frames: int) ->
         if frame >= n_frames:
             wrong.append(f"faults.{i}.frame: {frame} is not within the scene's {n_frames} frames")
     for name in names:
-        if sum(f.kind == "rate" and f.camera == name for f in faults) > 1:
-            wrong.append(f"faults: camera {name} has two rates")
-        lost = sum(f.n_frames for f in faults if f.kind == "dropped" and f.camera == name)
-        if lost >= n_frames:
-            wrong.append(f"faults: camera {name} drops {lost} of {n_frames} frames")
+        wrong += _mistakes_of_camera(
+            name, [f for f in faults if getattr(f, "camera", None) == name], n_frames
+        )
+    return wrong
+
+
+def _mistakes_of_camera(name: str, faults: Sequence[Any], n_frames: int) -> list[str]:
+    """What does not go together among the faults of one camera."""
+    wrong = []
+    if sum(f.kind == "rate" for f in faults) > 1:
+        wrong.append(f"faults: camera {name} has two rates")
+    lost = sum(f.n_frames for f in faults if f.kind == "dropped")
+    if lost >= n_frames:
+        wrong.append(f"faults: camera {name} drops {lost} of {n_frames} frames")
     return wrong

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import itertools
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -149,24 +151,36 @@ def scene_text(scene: Scene, description: str) -> str:
     document = scene.model_dump(mode="json", exclude_defaults=True)
     del document["name"]
     document.pop("description", None)
-    lines = [f'description = "{description}"']
+    persons = document.pop("persons")
     tables = {k: v for k, v in document.items() if isinstance(v, dict)}
-    lines += [f"{k} = {_toml(v)}" for k, v in document.items() if k not in tables and k != "persons"]
+    lines = [f'description = "{description}"']
+    lines += [f"{k} = {_toml(v)}" for k, v in document.items() if k not in tables]
     for name, table in tables.items():
-        lines += ["", f"[{name}]"]
-        for key, value in table.items():
-            if key == "furniture":
-                lines += ["furniture = [", *(f"  {_toml(v)}," for v in value), "]"]
-            else:
-                lines.append(f"{key} = {_toml(value)}")
-    for person in document["persons"]:
-        lines += ["", "[[persons]]"]
-        motion = person.pop("motion")
-        lines += [f"{k} = {_toml(v)}" for k, v in person.items()]
-        stops = motion.pop("waypoints")
-        lines += ["", "[persons.motion]", *(f"{k} = {_toml(v)}" for k, v in motion.items())]
-        lines += ["waypoints = [", *(f"  {_toml(s)}," for s in stops), "]"]
+        lines += _table_lines(name, table)
+    for person in persons:
+        lines += _person_lines(person)
     return "\n".join(lines) + "\n"
+
+
+def _table_lines(name: str, table: dict[str, Any]) -> list[str]:
+    """A table of a scene; every piece of furniture has a line of its own."""
+    lines = ["", f"[{name}]"]
+    for key, value in table.items():
+        lines += _list_lines(key, value) if key == "furniture" else [f"{key} = {_toml(value)}"]
+    return lines
+
+
+def _person_lines(person: dict[str, Any]) -> list[str]:
+    """A person of a scene; every way-point has a line of its own."""
+    motion = person.pop("motion")
+    stops = motion.pop("waypoints")
+    lines = ["", "[[persons]]", *(f"{k} = {_toml(v)}" for k, v in person.items())]
+    lines += ["", "[persons.motion]", *(f"{k} = {_toml(v)}" for k, v in motion.items())]
+    return [*lines, *_list_lines("waypoints", stops)]
+
+
+def _list_lines(key: str, values: list[Any]) -> list[str]:
+    return [f"{key} = [", *(f"  {_toml(v)}," for v in values), "]"]
 
 
 def _toml(value: Any) -> str:
@@ -207,35 +221,37 @@ def _layout(rng: np.random.Generator) -> _Plan:
                 "heading_deg": 0.0 if long else 90.0,
             }
         )
-        half = np.array(table.size_m if long else table.size_m[::-1]) / 2
-        x, y = table.center_m
-        spots = [
-            (x - half[0] - 0.92, y, 0.0),
-            (x + half[0] + 0.92, y, 180.0),
-            (x, y - half[1] - 0.92, 90.0),
-            (x, y + half[1] + 0.92, -90.0),
-            (rng.uniform(-1.4, 1.4), -1.62, 90.0),
-            (rng.uniform(-1.4, 1.4), 1.62, -90.0),
-            (-2.12, rng.uniform(-0.9, 0.9), 0.0),
-            (2.12, rng.uniform(-0.9, 0.9), 180.0),
-        ]
-        chairs: list[Chair] = []
-        for k in rng.permutation(len(spots)):
-            cx, cy, heading = spots[k]
-            near = [np.hypot(cx - c.center_m[0], cy - c.center_m[1]) for c in chairs]
-            is_clear = min([*near, np.hypot(cx - door[0], cy - door[1]) - 0.2], default=9) > 0.95
-            if is_clear and abs(cx) < 2.15 and abs(cy) < 1.65:
-                chairs.append(
-                    Chair.model_validate(
-                        {"kind": "chair", "center_m": _point((cx, cy)), "heading_deg": heading}
-                    )
-                )
-        chairs = chairs[: int(rng.integers(3, 5))]
+        chairs = _chairs(table, door, rng)
         free = _free_cells(table, chairs)
         plan = _Plan(door, table, chairs, free, _graph(free))
         ends = [_before(c) for c in chairs]
         if len(chairs) >= 3 and all(_way(plan, _inside_door(door), e) is not None for e in ends):
             return plan
+
+
+def _chairs(table: Table, door: Point, rng: np.random.Generator) -> list[Chair]:
+    """Up to four chairs round the table and along the walls, clear of each other and of the door."""
+    half = np.array(table.size_m if table.heading_deg == 0.0 else table.size_m[::-1]) / 2
+    x, y = table.center_m
+    spots = [
+        (x - half[0] - 0.92, y, 0.0),
+        (x + half[0] + 0.92, y, 180.0),
+        (x, y - half[1] - 0.92, 90.0),
+        (x, y + half[1] + 0.92, -90.0),
+        (rng.uniform(-1.4, 1.4), -1.62, 90.0),
+        (rng.uniform(-1.4, 1.4), 1.62, -90.0),
+        (-2.12, rng.uniform(-0.9, 0.9), 0.0),
+        (2.12, rng.uniform(-0.9, 0.9), 180.0),
+    ]
+    chairs: list[Chair] = []
+    for k in rng.permutation(len(spots)):
+        cx, cy, heading = spots[k]
+        near = [np.hypot(cx - c.center_m[0], cy - c.center_m[1]) for c in chairs]
+        is_clear = min([*near, np.hypot(cx - door[0], cy - door[1]) - 0.2], default=9) > 0.95
+        if is_clear and abs(cx) < 2.15 and abs(cy) < 1.65:
+            about = {"kind": "chair", "center_m": _point((cx, cy)), "heading_deg": heading}
+            chairs.append(Chair.model_validate(about))
+    return chairs[: int(rng.integers(3, 5))]
 
 
 def _free_cells(table: Table, chairs: list[Chair]) -> NDArray[np.bool_]:
@@ -301,6 +317,12 @@ def _find_way(plan: _Plan, start: Point, end: Point) -> list[Point] | None:
         return None
     if _sees(plan, start, end):
         return []
+    cells = _cells_between(plan, start, end)
+    return None if cells is None else _shortcut(plan, cells)
+
+
+def _cells_between(plan: _Plan, start: Point, end: Point) -> list[Point] | None:
+    """Start, middles of the cells on the shortest way over the grid, end; None when there is no way."""
     shape = plan.free.shape
     first, last = (int(np.ravel_multi_index(_cell(p), shape)) for p in (start, end))
     _, came = dijkstra(plan.graph, indices=first, return_predecessors=True)
@@ -314,6 +336,11 @@ def _find_way(plan: _Plan, start: Point, end: Point) -> list[Point] | None:
         (float(i * _CELL_M - SIZE_M[0] / 2), float(j * _CELL_M - SIZE_M[1] / 2)) for i, j in cells[::-1]
     ]
     points[0], points[-1] = start, end
+    return points
+
+
+def _shortcut(plan: _Plan, points: list[Point]) -> list[Point] | None:
+    """The points that are needed when straight free lines join them, ends excluded; None when a step is not free."""
     out = [points[0]]
     while out[-1] != points[-1]:
         k = len(points) - 1
@@ -351,141 +378,221 @@ def _fill(
 ) -> bool:
     """Add persons one by one, none of whom runs into another; False when it does not work out."""
     paths: list[Array] = []
-    meeting: tuple[Point, float] | None = None
-    for i in range(n_persons):
-        for _ in range(400):
-            person, meets = _itinerary(plan, i, n_persons, seconds, meeting, rng)
-            if person is None:
-                continue
-            rough = _rough_path(person["motion"], seconds)
-            ends = person["motion"]["waypoints"][-1]["at_m"]
-            if _is_outside(ends) and not _is_outside(rough[-1]):
-                continue
-            if not all(_keeps_apart(rough, other) for other in paths):
-                continue
-            person = _somebody(document["seed"] * 10 + i, i, rng) | person
-            trial = {**document, "persons": [*document["persons"], person]}
-            try:
-                scene = scene_from_dict(trial)
-                path = root_paths(scene, only=i)[0]
-            except (ValueError, MocapError):
-                continue
-            if _is_outside(ends) and not _is_outside(path[-1]):
-                continue
-            if not _keeps_clear(path, plan.table):
-                continue
-            if all(_keeps_apart(path, other) for other in paths):
-                document["persons"].append(person)
-                paths.append(path)
-                meeting = meets if meeting is None else meeting
-                break
-        else:
+    meeting: Point | None = None
+    for _ in range(n_persons):
+        joined = _join(document, plan, paths, seconds, meeting, rng)
+        if joined is None:
             return False
+        person, path, meets = joined
+        document["persons"].append(person)
+        paths.append(path)
+        meeting = meets if meeting is None else meeting
+    return _is_eventful(document, paths)
+
+
+def _join(
+    document: dict[str, Any],
+    plan: _Plan,
+    paths: list[Array],
+    seconds: float,
+    meeting: Point | None,
+    rng: np.random.Generator,
+) -> tuple[dict[str, Any], Array, Point | None] | None:
+    """One more person, its path (T, 2) m and where it waits for somebody; None after 400 vain trials."""
+    i = len(paths)
+    for _ in range(400):
+        motion, meets = _itinerary(plan, i, seconds, meeting, rng)
+        if motion is None or not _may_go(_rough_path(motion, seconds), motion, paths):
+            continue
+        person = _somebody(document["seed"] * 10 + i, i, rng) | {"motion": motion}
+        try:
+            scene = scene_from_dict({**document, "persons": [*document["persons"], person]})
+            path = root_paths(scene, only=i)[0]
+        except (ValueError, MocapError):
+            continue
+        if _keeps_clear(path, plan.table) and _may_go(path, motion, paths):
+            return person, path, meets
+    return None
+
+
+def _may_go(path: Array, motion: dict[str, Any], others: list[Array]) -> bool:
+    """Whether a path ends outside when the motion does, and keeps apart from the other paths, (T, 2) m all."""
+    leaves = _is_outside(motion["waypoints"][-1]["at_m"])
+    return (_is_outside(path[-1]) or not leaves) and all(_keeps_apart(path, other) for other in others)
+
+
+def _is_eventful(document: dict[str, Any], paths: list[Array]) -> bool:
+    """Whether somebody enters, somebody leaves, somebody sits, people meet and share the room.  paths : (T, 2) m."""
+    n = len(paths)
     inside = np.array([np.all(np.abs(p) < np.array(SIZE_M[:2]) / 2, axis=1) for p in paths])
-    pairs = itertools.combinations(range(n_persons), 2)
     encounters = sum(
         n_encounters(
             np.where(inside[a] & inside[b], np.linalg.norm(paths[a] - paths[b], axis=1), np.inf), 1.1
         )
-        for a, b in pairs
+        for a, b in itertools.combinations(range(n), 2)
     )
-    stops = [p["motion"]["waypoints"] for p in document["persons"]]
+    stops = [w for person in document["persons"] for w in person["motion"]["waypoints"]]
     happens = (
-        any(not inside[i, 0] for i in range(n_persons)),
-        any(not inside[i, -1] for i in range(n_persons)),
-        any(w.get("sit") for way in stops for w in way),
-        encounters >= n_persons,
+        not inside[:, 0].all(),
+        not inside[:, -1].all(),
+        any(w.get("sit") for w in stops),
+        encounters >= n,
         (inside.sum(axis=0) >= 2).mean() > 0.6,
     )
     return all(happens)
 
 
+@dataclass(frozen=True)
+class _Stop:
+    """A stop of a way.  target : where the walk to it ends.  waypoint : what the route says of it."""
+
+    target: Point
+    waypoint: dict[str, Any]
+    is_meeting: bool = False
+
+    def along(self, way: list[Point]) -> list[dict[str, Any]]:
+        """The way-points of the walk to this stop; a seat is approached and left from before the chair."""
+        points = [{"at_m": _point(p)} for p in way]
+        if not self.waypoint.get("sit"):
+            return [*points, self.waypoint]
+        return [*points, {"at_m": _point(self.target)}, self.waypoint, {"at_m": _point(self.target)}]
+
+
 def _itinerary(
-    plan: _Plan,
-    number: int,
-    n_persons: int,
-    seconds: float,
-    meeting: tuple[Point, float] | None,
-    rng: np.random.Generator,
-) -> tuple[dict[str, Any] | None, tuple[Point, float] | None]:
-    """A person's way: from the door or a place inside over several stops; the spot where it waits for somebody."""
-    stops: list[dict[str, Any]] = []
-    here: Point
+    plan: _Plan, number: int, seconds: float, meeting: Point | None, rng: np.random.Generator
+) -> tuple[dict[str, Any] | None, Point | None]:
+    """A person's motion: from the door or a place inside over several stops; the spot where it waits for somebody."""
     comes_in = number in (1, 2) or (number > 3 and rng.uniform() < 0.65)
     leaves = number in (0, 3) or rng.uniform() < 0.2
-    meets = None
-    if comes_in:
-        stops.append({"at_m": _point(_outside_door(plan.door))})
-        stops.append({"at_m": _point(_inside_door(plan.door))})
-        here = _inside_door(plan.door)
-        start = float(rng.uniform(0.0, 0.35 * seconds))
-    elif number == 3:
-        chair = plan.chairs[int(rng.integers(len(plan.chairs)))]
-        here = _before(chair)
-        stops.append({"at_m": _point(chair.center_m), "heading_deg": chair.heading_deg, "sit": True})
-        stops.append({"at_m": _point(here)})
-        start = float(rng.uniform(0.5, 4.0))
-    else:
-        here = _random_place(plan, rng)
-        stops.append({"at_m": _point(here), "heading_deg": float(np.round(rng.uniform(-180, 180)))})
-        start = float(rng.uniform(0.3, 2.5))
-    chairs = [plan.chairs[k] for k in rng.permutation(len(plan.chairs))]
+    beginning, here, start = _beginning(plan, number, seconds, comes_in, rng)
+    chair = plan.chairs[rng.permutation(len(plan.chairs))[-1]]
     sits = number == 1 or rng.uniform() < 0.4
     if leaves and seconds < 40:
         sits = False  # or there is no time left to leave
     n_stops = max(1, round(seconds / (20 if number == 3 else 12 if leaves else 8)))
     sit_at = int(rng.integers(n_stops)) if sits else -1
-    for k in range(n_stops):
-        if k == sit_at:
-            chair = chairs.pop()
-            target = _before(chair)
-            stop = {
-                "at_m": _point(chair.center_m),
-                "pause_s": round(float(rng.uniform(2.0, 6.0)), 1),
-                "heading_deg": chair.heading_deg,
-                "sit": True,
-            }
-        elif meeting is not None and k == 0 and rng.uniform() < 0.6:
-            angle = rng.uniform(0, 2 * np.pi)
-            target = (
-                meeting[0][0] + MEET_M * float(np.cos(angle)),
-                meeting[0][1] + MEET_M * float(np.sin(angle)),
-            )
-            stop = {
-                "at_m": _point(target),
-                "pause_s": round(float(rng.uniform(1.0, 3.0)), 1),
-                "heading_deg": round(float(np.degrees(angle + np.pi)) % 360, 0),
-            }
-        else:
-            target = _random_place(plan, rng)
-            waits = number == 0 and k == n_stops - 1
-            stop = {"at_m": _point(target)}
-            if waits or rng.uniform() < 0.6:
-                stop["pause_s"] = round(float(rng.uniform(4.0, 6.0) if waits else rng.uniform(0.5, 2.5)), 1)
-            if waits:
-                meets = (target, 0.0)
-        way = _way(plan, here, target)
-        if way is None:
-            return None, None
-        stops += [{"at_m": _point(p)} for p in way]
-        if stop.get("sit"):
-            stops.append({"at_m": _point(target)})
-        stops.append(stop)
-        if stop.get("sit"):
-            stops.append({"at_m": _point(target)})
-        here = target
-    if leaves:
-        way = _way(plan, here, _inside_door(plan.door))
-        if way is None:
-            return None, None
-        stops += [{"at_m": _point(p)} for p in (*way, _inside_door(plan.door), _outside_door(plan.door))]
+
+    stop_of = partial(_stop, plan, chair, sit_at, meeting, rng, waits_at=n_stops - 1 if number == 0 else -1)
+    middle = _visits(plan, here, n_stops, stop_of)
+    ending = None if middle is None else _ending(plan, middle.here, leaves)
+    if middle is None or ending is None:
+        return None, None
     motion = {
         "kind": "route",
         "speed_m_s": round(float(rng.uniform(0.8, 1.2)), 2),
         "start_s": round(start, 2),
-        "waypoints": stops,
+        "waypoints": [*beginning, *middle.waypoints, *ending],
     }
-    return {"motion": motion}, meets
+    return motion, middle.meeting
+
+
+def _stop(
+    plan: _Plan,
+    chair: Chair,
+    sit_at: int,
+    meeting: Point | None,
+    rng: np.random.Generator,
+    k: int,
+    *,
+    waits_at: int,
+) -> _Stop:
+    """Stop k of a way: the chair, a talk with who waits at the meeting point, or a place somewhere."""
+    if k == sit_at:
+        return _seat(chair, rng)
+    if meeting is not None and k == 0 and rng.uniform() < 0.6:
+        return _beside(meeting, rng)
+    return _standing(plan, rng, is_meeting=k == waits_at)
+
+
+@dataclass(frozen=True)
+class _Visits:
+    """Way-points over several stops, where they end, and the spot where somebody is waited for."""
+
+    waypoints: list[dict[str, Any]]
+    here: Point
+    meeting: Point | None
+
+
+def _visits(plan: _Plan, here: Point, n_stops: int, stop_of: Callable[[int], _Stop]) -> _Visits | None:
+    """A walk over stops, each drawn when the one before has been reached; None when there is no way to one."""
+    waypoints: list[dict[str, Any]] = []
+    meeting = None
+    for k in range(n_stops):
+        stop = stop_of(k)
+        way = _way(plan, here, stop.target)
+        if way is None:
+            return None
+        waypoints += stop.along(way)
+        here = stop.target
+        meeting = here if stop.is_meeting else meeting
+    return _Visits(waypoints, here, meeting)
+
+
+def _ending(plan: _Plan, here: Point, leaves: bool) -> list[dict[str, Any]] | None:
+    """The way out by the door for who leaves; None when there is none."""
+    if not leaves:
+        return []
+    way = _way(plan, here, _inside_door(plan.door))
+    if way is None:
+        return None
+    return [{"at_m": _point(p)} for p in (*way, _inside_door(plan.door), _outside_door(plan.door))]
+
+
+def _beginning(
+    plan: _Plan, number: int, seconds: float, comes_in: bool, rng: np.random.Generator
+) -> tuple[list[dict[str, Any]], Point, float]:
+    """The first way-points, the place where they end, and when the walk begins, s."""
+    stops: list[dict[str, Any]]
+    if comes_in:
+        here = _inside_door(plan.door)
+        stops = [{"at_m": _point(_outside_door(plan.door))}, {"at_m": _point(here)}]
+        return stops, here, float(rng.uniform(0.0, 0.35 * seconds))
+    if number == 3:
+        chair = plan.chairs[int(rng.integers(len(plan.chairs)))]
+        here = _before(chair)
+        stops = [
+            {"at_m": _point(chair.center_m), "heading_deg": chair.heading_deg, "sit": True},
+            {"at_m": _point(here)},
+        ]
+        return stops, here, float(rng.uniform(0.5, 4.0))
+    here = _random_place(plan, rng)
+    stops = [{"at_m": _point(here), "heading_deg": float(np.round(rng.uniform(-180, 180)))}]
+    return stops, here, float(rng.uniform(0.3, 2.5))
+
+
+def _seat(chair: Chair, rng: np.random.Generator) -> _Stop:
+    """A while on a chair."""
+    about = {
+        "at_m": _point(chair.center_m),
+        "pause_s": round(float(rng.uniform(2.0, 6.0)), 1),
+        "heading_deg": chair.heading_deg,
+        "sit": True,
+    }
+    return _Stop(_before(chair), about)
+
+
+def _beside(meeting: Point, rng: np.random.Generator) -> _Stop:
+    """A talk, face to face with who waits at the meeting point."""
+    angle = rng.uniform(0, 2 * np.pi)
+    target = (
+        meeting[0] + MEET_M * float(np.cos(angle)),
+        meeting[1] + MEET_M * float(np.sin(angle)),
+    )
+    about = {
+        "at_m": _point(target),
+        "pause_s": round(float(rng.uniform(1.0, 3.0)), 1),
+        "heading_deg": round(float(np.degrees(angle + np.pi)) % 360, 0),
+    }
+    return _Stop(target, about)
+
+
+def _standing(plan: _Plan, rng: np.random.Generator, *, is_meeting: bool) -> _Stop:
+    """A place somewhere in the room, most often with a pause; a long one where others shall come."""
+    target = _random_place(plan, rng)
+    about: dict[str, Any] = {"at_m": _point(target)}
+    if is_meeting or rng.uniform() < 0.6:
+        about["pause_s"] = round(float(rng.uniform(4.0, 6.0) if is_meeting else rng.uniform(0.5, 2.5)), 1)
+    return _Stop(target, about, is_meeting)
 
 
 def _random_place(plan: _Plan, rng: np.random.Generator) -> Point:

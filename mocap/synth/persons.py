@@ -255,20 +255,13 @@ class Person(Section):
 
 def cast(person: Person, room: Room, rng_of: Callable[[int], np.random.Generator]) -> tuple[Body, Look]:
     """Body and look of a person.  rng_of : the generators 3, 4, 5 of the person: stature, skeleton, look."""
-    import numpy as np
-
     from mocap.synth.body import build_body
     from mocap.synth.figure import make_figure
     from mocap.synth.looks import make_look
 
     rng = rng_of(3)
     sex = person.sex or ("male" if rng.uniform() < 0.5 else "female")
-    drawn = rng.normal(1.765, 0.07) if sex == "male" else rng.normal(1.645, 0.065)
-    usual = float(np.clip(drawn, 1.45, 2.0))
-    build = person.build or float(np.clip(rng.normal(1.0, 0.08), 0.82, 1.25))
-    if person.child:
-        usual = float(np.clip(rng.normal(1.25, 0.13), 1.0, 1.5))
-    stature = person.height_m or usual
+    stature, build = _size(person, sex, rng)
     if person.body == "anny":
         from mocap.synth.anny_body import build_anny_body
 
@@ -285,13 +278,28 @@ def cast(person: Person, room: Room, rng_of: Callable[[int], np.random.Generator
             clothes=person.clothes,
         )
         body = build_body(figure)
-
-    def linear(colour: Colour) -> np.ndarray:
-        if colour == "wall":
-            return room.wall_rgb
-        if colour == "floor":
-            return room.floor_rgb
-        return (np.array(colour) / 255.0) ** _GAMMA
-
-    colours = {n: linear(c) for n, c in person.colours if c is not None}
+    colours = {n: _linear(c, room) for n, c in person.colours if c is not None}
     return body, make_look(rng=rng_of(5), sex=sex, clothes=person.clothes, colours=colours)
+
+
+def _size(person: Person, sex: str, rng: np.random.Generator) -> tuple[float, float]:
+    """Stature, m, and build of a person; what the scene leaves open is drawn."""
+    import numpy as np
+
+    drawn = rng.normal(1.765, 0.07) if sex == "male" else rng.normal(1.645, 0.065)
+    usual = float(np.clip(drawn, 1.45, 2.0))
+    build = person.build or float(np.clip(rng.normal(1.0, 0.08), 0.82, 1.25))
+    if person.child:
+        usual = float(np.clip(rng.normal(1.25, 0.13), 1.0, 1.5))
+    return person.height_m or usual, build
+
+
+def _linear(colour: Colour, room: Room) -> np.ndarray:
+    """Linear RGB (3,) of a colour."""
+    import numpy as np
+
+    if colour == "wall":
+        return room.wall_rgb
+    if colour == "floor":
+        return room.floor_rgb
+    return (np.array(colour) / 255.0) ** _GAMMA

@@ -166,10 +166,8 @@ def posed_scene(
     vertices = np.concatenate([v for v, _ in posed])
     faces = np.concatenate([b.faces + s for b, s in zip(bodies, starts, strict=False)])
     rays = RayScene(vertices, faces)
-    maps: list[tuple[LightMap, ...]] = []
-    if with_light:
-        for light in room.lights:
-            maps.append(tuple(_light_map(sample, vertices, rays) for sample in light.samples))
+    lights = room.lights if with_light else ()
+    maps = tuple(tuple(_light_map(sample, vertices, rays) for sample in light.samples) for light in lights)
     return PosedScene(
         vertices,
         np.concatenate([n for _, n in posed]),
@@ -178,7 +176,7 @@ def posed_scene(
         things,
         tuple(int(s) for s in starts),
         rays,
-        tuple(maps),
+        maps,
         _contact_map(vertices) if with_light else None,
         bool(np.any(vertices < room.lower) or np.any(vertices > room.upper)),
     )

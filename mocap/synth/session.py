@@ -104,7 +104,7 @@ def _fill(
 def _rendering(
     scene: Scene, seed: int | None, groups: list[list[str]], folder: Path, scratch: Path
 ) -> Iterator[list[subprocess.Popen[bytes]]]:
-    """Processes that render groups of cameras, none of which outlives the block; each builds the world from its seed."""
+    """Processes that render groups of cameras, none of which outlives the block; each builds the same world."""
     jobs = []
     try:
         for k, names in enumerate(groups):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,51 @@ Array = NDArray[np.float64]
 TRUTH_VOXEL_M = 0.02
 
 
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What is measured on the posed bodies, frame by frame.
+
+    centroids, heads : (T, P, 3) m.  volumes : (T, P) m3.  markers : (T, P, M, 3) m.  solids : the voxels inside, one
+    array per frame.  inside : (T, P), whether the centroid is over the room's capture area.
+    """
+
+    grid: VoxelGrid
+    centroids: Array
+    heads: Array
+    volumes: Array
+    markers: Array
+    solids: list[NDArray[np.int32]]
+    inside: NDArray[np.bool_]
+
+
 def write_truth(world: World, truth: Path, report: Progress) -> None:
     """Everything that is known of a world without looking through its cameras, into the folder `truth`."""
     scene = world.scene
     truth.mkdir(exist_ok=True)
+    measured = _measure(world, report)
+    present = [np.flatnonzero(inside).astype(np.int64) for inside in measured.inside.T]
+    write_landmarks_csv(
+        truth / "landmarks.csv",
+        [
+            Motion(a.person, f, f / scene.fps, a.landmarks[f])
+            for a, f in zip(world.actors, present, strict=True)
+        ],
+    )
+    _write_tracks(world, truth / "tracks.csv", measured.centroids, measured.inside)
+    _write_tracks(world, truth / "heads.csv", measured.heads, measured.inside)
+    if world.n_markers:
+        _write_markers(world, truth, measured.markers, measured.inside)
+    if scene.truth_voxels:
+        _write_voxels(measured, truth / "voxels.npz")
+    _write_poses(world, truth, measured.inside)
+    _write_pictures_csv(world, truth / "pictures.csv")
+    about = _about(world, measured)
+    (truth / "truth.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
+def _measure(world: World, report: Progress) -> _Measured:
+    """Pose every body in every frame once, and measure it."""
+    scene = world.scene
     lower, upper = (np.array(c) for c in scene.room.capture_m)
     grid = VoxelGrid.from_bounds(lower, upper, TRUTH_VOXEL_M)
     n, P = scene.n_frames, len(world.actors)
@@ -45,29 +87,26 @@ def write_truth(world: World, truth: Path, report: Progress) -> None:
         solids.append(np.unique(np.concatenate(solid)))
         report("truth", frame + 1, n)
     inside = np.all((centroids[..., :2] > lower[:2]) & (centroids[..., :2] < upper[:2]), axis=2)
-    present = [np.flatnonzero(inside[:, i]).astype(np.int64) for i in range(P)]
-    write_landmarks_csv(
-        truth / "landmarks.csv",
-        [
-            Motion(a.person, f, f / scene.fps, a.landmarks[f])
-            for a, f in zip(world.actors, present, strict=True)
-        ],
+    return _Measured(grid, centroids, heads, volumes, markers, solids, inside)
+
+
+def _write_voxels(measured: _Measured, path: Path) -> None:
+    """The solid bodies as linear indices, frames joined."""
+    solids = measured.solids
+    np.savez_compressed(
+        path,
+        origin_m=measured.grid.origin,
+        shape=np.array(measured.grid.shape, dtype=np.int64),
+        voxel_size_m=np.float64(TRUTH_VOXEL_M),
+        offsets=np.concatenate([[0], np.cumsum([len(s) for s in solids])]).astype(np.int64),
+        voxels=np.concatenate(solids).astype(np.int32),
     )
-    _write_tracks(world, truth / "tracks.csv", centroids, inside)
-    _write_tracks(world, truth / "heads.csv", heads, inside)
-    if world.n_markers:
-        _write_markers(world, truth, markers, inside)
-    if scene.truth_voxels:
-        np.savez_compressed(
-            truth / "voxels.npz",
-            origin_m=grid.origin,
-            shape=np.array(grid.shape, dtype=np.int64),
-            voxel_size_m=np.float64(TRUTH_VOXEL_M),
-            offsets=np.concatenate([[0], np.cumsum([len(s) for s in solids])]).astype(np.int64),
-            voxels=np.concatenate(solids).astype(np.int32),
-        )
+
+
+def _write_poses(world: World, truth: Path, inside: NDArray[np.bool_]) -> None:
+    """pose_N.npz: the joints' rotations of each person.  inside : (T, P)."""
     for i, actor in enumerate(world.actors):
-        kept = slice(actor.lead, actor.lead + scene.n_frames)
+        kept = slice(actor.lead, actor.lead + world.scene.n_frames)
         np.savez_compressed(
             truth / f"pose_{actor.person}.npz",
             joints=np.array(JOINTS),
@@ -77,6 +116,11 @@ def write_truth(world: World, truth: Path, report: Progress) -> None:
             contact=actor.pose.contact[kept],
             inside=inside[:, i],
         )
+
+
+def _about(world: World, measured: _Measured) -> dict[str, Any]:
+    """truth.json: the scene, its persons, its furniture and its faults."""
+    scene = world.scene
     persons = [
         {
             "person": a.person,
@@ -85,7 +129,7 @@ def write_truth(world: World, truth: Path, report: Progress) -> None:
             "sex": a.body.figure.sex,
             "build": round(a.body.figure.build, 3),
             "motion": p.motion.kind,
-            "volume_m3": round(float(volumes[:, i].mean()), 5),
+            "volume_m3": round(float(measured.volumes[:, i].mean()), 5),
             "limbs_m": {
                 "upper_arm": round(a.body.figure.upper_arm_m, 5),
                 "forearm": round(a.body.figure.forearm_m, 5),
@@ -95,7 +139,7 @@ def write_truth(world: World, truth: Path, report: Progress) -> None:
         }
         for i, (a, p) in enumerate(zip(world.actors, scene.persons, strict=True))
     ]
-    about = {
+    return {
         "scene": scene.name,
         "seed": world.seed,
         "fps": scene.fps,
@@ -109,8 +153,6 @@ def write_truth(world: World, truth: Path, report: Progress) -> None:
         "voxels": "voxels.npz: a voxel is set when its centre is inside the posed mesh (winding number); "
         "linear C-order indices, offsets per frame",
     }
-    _write_pictures_csv(world, truth / "pictures.csv")
-    (truth / "truth.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
 
 def _clothed_height(body: Body) -> float:

@@ -77,33 +77,38 @@ class CameraFault:
     def message(self) -> str:
         """One sentence for the user."""
         who = f"camera {self.camera}"
-        at = f"at frame {self.first_frame}"
-        if self.is_from_start and self.is_to_end:
-            when = "all the time"
-        elif self.is_to_end:
-            when = f"from frame {self.first_frame} on"
-        else:
-            when = f"in frames {self.first_frame} to {self.last_frame}"
-        frames = f"{abs(self.lag_frames)} frame{'s' * (abs(self.lag_frames) != 1)}"
         if self.kind == "moved":
-            far = (
-                "" if self.shift_px is None else f" (its picture shifts by {np.hypot(*self.shift_px):.0f} px)"
-            )
-            back = "" if self.is_to_end else f" and back at frame {self.last_frame + 1}"
-            if self.is_from_start:
-                return f"{who} does not stand where the calibration says{far}, {when}"
-            return f"{who} moved {at}{back}{far}"
+            return self._moved
+        frames = f"{abs(self.lag_frames)} frame{'s' * (abs(self.lag_frames) != 1)}"
         if self.kind == "lag" and self.lag_frames < 0 and not self.is_from_start:
-            return f"{who} is {frames} early {when}: its file has lost pictures"
+            return f"{who} is {frames} early {self._when}: its file has lost pictures"
         return {
-            "lag": f"{who} {'lags' if self.lag_frames > 0 else 'is early by'} {frames} {when}",
-            "rate": f"{who} runs away from the others {when}: another frame rate, or a clock that drifts",
-            "frozen": f"{who} repeats one picture {when}",
-            "black": f"{who} is black {when}",
-            "blind": f"{who} sees nobody where the others see a person {when}: hidden, or not segmented",
-            "misfit": f"the masks of {who} do not fit those of the other cameras {when}",
-            "scene": f"the masks of several cameras stop fitting together {at}: the light or the room has changed",
+            "lag": f"{who} {'lags' if self.lag_frames > 0 else 'is early by'} {frames} {self._when}",
+            "rate": f"{who} runs away from the others {self._when}: another frame rate, or a clock that drifts",
+            "frozen": f"{who} repeats one picture {self._when}",
+            "black": f"{who} is black {self._when}",
+            "blind": f"{who} sees nobody where the others see a person {self._when}: hidden, or not segmented",
+            "misfit": f"the masks of {who} do not fit those of the other cameras {self._when}",
+            "scene": f"the masks of several cameras stop fitting together at frame {self.first_frame}: "
+            "the light or the room has changed",
         }[self.kind]
+
+    @property
+    def _when(self) -> str:
+        if self.is_from_start and self.is_to_end:
+            return "all the time"
+        if self.is_to_end:
+            return f"from frame {self.first_frame} on"
+        return f"in frames {self.first_frame} to {self.last_frame}"
+
+    @property
+    def _moved(self) -> str:
+        who = f"camera {self.camera}"
+        far = "" if self.shift_px is None else f" (its picture shifts by {np.hypot(*self.shift_px):.0f} px)"
+        if self.is_from_start:
+            return f"{who} does not stand where the calibration says{far}, {self._when}"
+        back = "" if self.is_to_end else f" and back at frame {self.last_frame + 1}"
+        return f"{who} moved at frame {self.first_frame}{back}{far}"
 
 
 def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
@@ -118,22 +123,35 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
     unexplained = evidence.uncovered.astype(np.float64)
     found: list[CameraFault] = []
     for c in range(n_cameras):
-        plain: tuple[tuple[Kind, list[tuple[int, int]]], ...] = (
-            ("black", _black(evidence, c)),
-            ("frozen", _frozen(evidence, c)),
-        )
-        for kind, stretches in plain:
-            for first, stop in stretches:
-                if not any(
-                    f.camera == evidence.names[c] and _overlap(f, evidence, first, stop) for f in found
-                ):
-                    found.append(_fault(evidence, c, kind, first, stop))
-                    unexplained[max(first - 1, 0) : stop, c] = np.nan
+        for fault, rows in _without_picture(evidence, c):
+            found.append(fault)
+            unexplained[rows, c] = np.nan
     moved = [_background_moves(evidence, c) for c in range(n_cameras)]
     for c, own in enumerate(moved):
         for first, stop, shift in own:
             found.append(replace(_fault(evidence, c, "moved", first, stop), shift_px=shift))
             unexplained[first:stop, c] = np.nan
+    found += _without_common_cause(_doubted(evidence, unexplained), n_cameras)
+    return tuple(sorted(found, key=lambda f: (f.first_frame, f.camera)))
+
+
+def _without_picture(evidence: SilhouetteEvidence, c: int) -> list[tuple[CameraFault, slice]]:
+    """Stretches in which a camera gives no new picture, and the rows in which its masks say nothing."""
+    found: list[tuple[CameraFault, slice]] = []
+    plain: tuple[tuple[Kind, list[tuple[int, int]]], ...] = (
+        ("black", _black(evidence, c)),
+        ("frozen", _frozen(evidence, c)),
+    )
+    for kind, stretches in plain:
+        for first, stop in stretches:
+            if not any(_overlap(fault, evidence, first, stop) for fault, _ in found):
+                found.append((_fault(evidence, c, kind, first, stop), slice(max(first - 1, 0), stop)))
+    return found
+
+
+def _doubted(evidence: SilhouetteEvidence, unexplained: Array) -> list[CameraFault]:
+    """Faults that silhouettes tell alone.  unexplained : (T, C, 2 W + 1) shares per lag, NaN = unknown."""
+    n_frames, n_cameras = unexplained.shape[:2]
     usual = max(_USUAL_SHARE, _USUAL_FACTOR * _median(np.min(unexplained, axis=2, initial=np.inf)))
     doubted = []
     for c in range(n_cameras):
@@ -146,8 +164,7 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
             lasts = stretch[1] - stretch[0] >= min(_LASTING_FRAMES, n_frames // 2)
             if lasts or fault.kind not in ("lag", "misfit"):
                 doubted.append(fault)
-    found += _without_common_cause(doubted, n_cameras)
-    return tuple(sorted(found, key=lambda f: (f.first_frame, f.camera)))
+    return doubted
 
 
 def usable_cameras(
@@ -337,34 +354,11 @@ def _background_moves(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, i
     shots = [s for s in evidence.snapshots if s.pictures is not None]
     if len(shots) < 2:
         return []
-    seen: dict[int, Array | None] = {}
-
-    def shift_of(i: int) -> Array | None:
-        if i not in seen:
-            seen[i] = background_shift(shots[0], shots[i], c)
-        return seen[i]
-
-    def is_moved(i: int) -> bool | None:
-        shift = shift_of(i)
-        return None if shift is None else bool(np.hypot(*shift) > _MOVED_CELLS)
-
-    looks = np.unique(np.linspace(1, len(shots) - 1, min(_N_LOOKS, len(shots) - 1)).astype(int))
-    answers = [(int(i), is_moved(int(i))) for i in looks]
-    answers = [(0, False), *((i, a) for i, a in answers if a is not None)]
-    edges = []
-    for (a, was), (b, now) in pairwise(answers):
-        if was == now:
-            continue
-        while b - a > 1:
-            middle = (a + b) // 2
-            if is_moved(middle) == was:
-                a = middle
-            else:
-                b = middle
-        edges.append(b)
+    shifts_of = _Shifts(shots, c)
+    edges = shifts_of.edges()
     stretches = []
     for first, stop in zip(edges[::2], [*edges[1::2], len(shots)][: len(edges[::2])], strict=True):
-        shifts = [s for i in range(first, stop) if (s := seen.get(i)) is not None]
+        shifts = [s for i in range(first, stop) if (s := shifts_of.seen.get(i)) is not None]
         if len(shifts) < 2 and stop - first < _MIN_FRAMES:
             continue
         shift = np.median(shifts, axis=0) * SHRINK
@@ -374,6 +368,43 @@ def _background_moves(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, i
         end = len(evidence.frames) if stop == len(shots) else _row_of(evidence, shots[stop].frame)
         stretches.append((start, end, (float(shift[0]), float(shift[1]))))
     return stretches
+
+
+class _Shifts:
+    """Shifts of one camera's background against the first snapshot, each found when it is asked for, and once.
+
+    seen : index of a snapshot -> (2,) cells, None where it cannot be told.
+    """
+
+    def __init__(self, shots: Sequence[Snapshot], c: int) -> None:
+        self._shots, self._c = shots, c
+        self.seen: dict[int, Array | None] = {}
+
+    def is_moved(self, i: int) -> bool | None:
+        """Whether the background lies elsewhere in snapshot i; None when it cannot be told."""
+        if i not in self.seen:
+            self.seen[i] = background_shift(self._shots[0], self._shots[i], self._c)
+        shift = self.seen[i]
+        return None if shift is None else bool(np.hypot(*shift) > _MOVED_CELLS)
+
+    def edges(self) -> list[int]:
+        """The snapshots at which the answer changes: a few are looked at, and halvings find the place between."""
+        last = len(self._shots) - 1
+        looks = np.unique(np.linspace(1, last, min(_N_LOOKS, last)).astype(int))
+        answers = [(int(i), self.is_moved(int(i))) for i in looks]
+        answers = [(0, False), *((i, a) for i, a in answers if a is not None)]
+        edges = []
+        for (a, was), (b, now) in pairwise(answers):
+            if was == now:
+                continue
+            while b - a > 1:
+                middle = (a + b) // 2
+                if self.is_moved(middle) == was:
+                    a = middle
+                else:
+                    b = middle
+            edges.append(b)
+        return edges
 
 
 def _background_stands(evidence: SilhouetteEvidence, c: int, first: int, stop: int) -> bool:
@@ -431,12 +462,7 @@ def _silhouette_shift(
     h, w = inside[0].masks.shape[1:]
     spectrum = np.zeros((2 * h, w + 1), dtype=np.complex128)
     n_cells = 0
-    # What stands still is no person but the background of a camera that has moved.
-    still = np.mean([shot.masks[c] for shot in inside], axis=0) > _STILL_SHARE
-    if len(inside) < _MIN_FRAMES or sum(int((s.masks[c] & ~still).sum()) for s in inside) < _MIN_FRAMES * len(
-        inside
-    ):
-        still[:] = False
+    still = _still_cells(inside, c)
     for shot in inside:
         mask, hull = (shot.masks[c] & ~still).astype(float), (shot.hulls[c] > 0).astype(float)
         n_cells += int(mask.sum())
@@ -447,6 +473,18 @@ def _silhouette_shift(
     dv, du = (int(v) + h) % (2 * h) - h, (int(u) + w) % (2 * w) - w
     left = 1.0 - covered / n_cells
     return (-float(du * SHRINK), -float(dv * SHRINK)), float(left[0, 0]), max(0.0, float(left.min()))
+
+
+def _still_cells(inside: Sequence[Snapshot], c: int) -> NDArray[np.bool_]:
+    """Foreground (h, w) of camera c that stays: no person, but the background of a camera that has moved.
+
+    None where it cannot be told from a person, because there are few snapshots or little else moves.
+    """
+    still: NDArray[np.bool_] = np.mean([shot.masks[c] for shot in inside], axis=0) > _STILL_SHARE
+    n_moving = sum(int((s.masks[c] & ~still).sum()) for s in inside)
+    if len(inside) < _MIN_FRAMES or n_moving < _MIN_FRAMES * len(inside):
+        still[:] = False
+    return still
 
 
 def _fault(evidence: SilhouetteEvidence, c: int, kind: Kind, first: int, stop: int) -> CameraFault:

@@ -71,9 +71,38 @@ def read_amc(path: Path | str, skeleton: Path | str | None = None) -> Recording:
     path = Path(path)
     skeleton = _skeleton_of(path) if skeleton is None else Path(skeleton)
     root, bones, parent_of = _read_asf(skeleton)
+    by_name = {b.name: b for b in [root, *bones]}
+    values = _values_of_bones(path, by_name)
+    names = ["root", *(b.name for b in bones)]
+    parents = np.array([-1, *(names.index(parent_of[b.name]) for b in bones)], dtype=np.int64)
+    offsets = np.zeros((len(names), 3))
+    for j, bone in enumerate(bones, start=1):
+        above = by_name[parent_of[bone.name]]
+        offsets[j] = above.direction * above.length
+    rotations = np.stack([_turned(bone, values[bone.name]) for bone in [root, *bones]], axis=1)
+    place = np.zeros((len(rotations), 3))
+    for i, freedom in enumerate(root.freedoms):
+        if freedom in _MOVES:
+            place[:, _MOVES[freedom]] = values["root"][:, i]
+    return Recording(tuple(names), parents, offsets, rotations, place, None)
+
+
+def _values_of_bones(path: Path, by_name: dict[str, _Bone]) -> dict[str, Array]:
+    """Name -> values (T, F) of the bone's degrees of freedom over the frames of an AMC file."""
+    frames = _read_frames(path, by_name)
+    for bone in by_name.values():
+        missing = next((i for i, f in enumerate(frames) if bone.freedoms and bone.name not in f), None)
+        if missing is not None:
+            raise MocapError(
+                f"frame {missing}: {bone.name} is missing", path=path, frame=missing, remedy="correct it"
+            )
+    return {name: np.array([f.get(name, []) for f in frames]).reshape(len(frames), -1) for name in by_name}
+
+
+def _read_frames(path: Path, by_name: dict[str, _Bone]) -> list[dict[str, list[float]]]:
+    """Per frame of an AMC file the values of the bones that it names."""
     reader = _Reader(path)
     frames: list[dict[str, list[float]]] = []
-    by_name = {b.name: b for b in [root, *bones]}
     for number, words in reader.lines:
         if words[0].startswith(":"):
             if words[0].upper() == ":RADIANS":
@@ -88,31 +117,15 @@ def read_amc(path: Path | str, skeleton: Path | str | None = None) -> Recording:
             frames[-1][words[0]] = reader.numbers(number, words[1:], len(by_name[words[0]].freedoms))
     if not frames:
         raise MocapError("the file has no frames", path=path, remedy="give an AMC file")
-    for bone in by_name.values():
-        missing = next((i for i, f in enumerate(frames) if bone.freedoms and bone.name not in f), None)
-        if missing is not None:
-            raise MocapError(
-                f"frame {missing}: {bone.name} is missing", path=path, frame=missing, remedy="correct it"
-            )
-    names = ["root", *(b.name for b in bones)]
-    parents = np.array([-1, *(names.index(parent_of[b.name]) for b in bones)], dtype=np.int64)
-    offsets = np.zeros((len(names), 3))
-    for j, bone in enumerate(bones, start=1):
-        above = by_name[parent_of[bone.name]]
-        offsets[j] = above.direction * above.length
-    rotations = np.tile(np.eye(3), (len(frames), len(names), 1, 1))
-    place = np.zeros((len(frames), 3))
-    for j, bone in enumerate([root, *bones]):
-        values = np.array([f.get(bone.name, []) for f in frames]).reshape(len(frames), -1)
-        turns = [i for i, d in enumerate(bone.freedoms) if d in _TURNS]
-        # Angles are about fixed axes, the first listed one first: the last one stands left in the product.
-        order = "".join(_TURNS[bone.freedoms[i]] for i in reversed(turns))
-        turned = euler_matrix(order, values[:, turns[::-1]])
-        rotations[:, j] = bone.axes @ turned @ bone.axes.T
-        for i, freedom in enumerate(bone.freedoms):
-            if freedom in _MOVES and j == 0:
-                place[:, _MOVES[freedom]] = values[:, i]
-    return Recording(tuple(names), parents, offsets, rotations, place, None)
+    return frames
+
+
+def _turned(bone: _Bone, values: Array) -> Array:
+    """Rotations (T, 3, 3) of a bone against its parent, from the values (T, F) of its degrees of freedom."""
+    turns = [i for i, d in enumerate(bone.freedoms) if d in _TURNS]
+    # Angles are about fixed axes, the first listed one first: the last one stands left in the product.
+    order = "".join(_TURNS[bone.freedoms[i]] for i in reversed(turns))
+    return bone.axes @ euler_matrix(order, values[:, turns[::-1]]) @ bone.axes.T
 
 
 def _skeleton_of(path: Path) -> Path:
@@ -124,11 +137,14 @@ def _skeleton_of(path: Path) -> Path:
     return found
 
 
+_Lines = list[tuple[int, list[str]]]
+
+
 def _read_asf(path: Path) -> tuple[_Bone, list[_Bone], dict[str, str]]:
     """Root, bones with parents before children, and the name of each bone's parent."""
     reader = _Reader(path)
-    sections: dict[str, list[tuple[int, list[str]]]] = {}
-    current: list[tuple[int, list[str]]] = []
+    sections: dict[str, _Lines] = {}
+    current: _Lines = []
     for number, words in reader.lines:
         if words[0].startswith(":"):
             current = sections.setdefault(words[0].lower(), [])
@@ -140,43 +156,62 @@ def _read_asf(path: Path) -> tuple[_Bone, list[_Bone], dict[str, str]]:
     for number, words in sections.get(":units", []):
         if words[0] == "angle" and words[1:] != ["deg"]:
             raise reader.error(number, "angles in radians are not supported, degrees are")
+    root = _root(reader, sections[":root"])
+    bones = _bones(reader, sections[":bonedata"])
+    order, parent_of = _hierarchy(reader, sections[":hierarchy"], bones)
+    return root, order, parent_of
+
+
+def _root(reader: _Reader, lines: _Lines) -> _Bone:
     root = _Bone("root", freedoms=("tx", "ty", "tz", "rx", "ry", "rz"))
-    for number, words in sections[":root"]:
+    for number, words in lines:
         if words[0] == "order":
             root.freedoms = tuple(w.lower() for w in words[1:])
             if not set(root.freedoms) <= {*_TURNS, *_MOVES}:
                 raise reader.error(number, f"the order {' '.join(words[1:])} is not understood")
+    return root
+
+
+def _bones(reader: _Reader, lines: _Lines) -> dict[str, _Bone]:
+    """The bones of the section :bonedata, by name."""
     bones: dict[str, _Bone] = {}
     bone: _Bone | None = None
-    for number, words in sections[":bonedata"]:
-        match words:
-            case ["begin"]:
-                bone = _Bone("")
-            case ["end"] if bone is not None:
-                bones[bone.name] = bone
-                bone = None
-            case ["name", name] if bone is not None:
-                bone.name = name
-            case ["direction", *values] if bone is not None:
-                bone.direction = np.array(reader.numbers(number, values, 3))
-            case ["length", *values] if bone is not None:
-                bone.length = reader.numbers(number, values, 1)[0]
-            case ["axis", *values] if bone is not None and len(values) == 4:
-                degrees = np.array(reader.numbers(number, values[:3], 3))
-                bone.axes = euler_matrix(values[3].lower()[::-1], degrees[None, ::-1])[0]
-            case ["dof", *freedoms] if bone is not None:
-                bone.freedoms = tuple(f.lower() for f in freedoms)
-                if not set(bone.freedoms) <= set(_TURNS):
-                    raise reader.error(
-                        number, f"the degrees of freedom {' '.join(freedoms)} are not understood"
-                    )
-            case _ if bone is None:
-                raise reader.error(number, f"{words[0]!r} is not expected here")
-            case _:
-                pass  # id, limits and other things that do not move the bone
+    for number, words in lines:
+        if words == ["begin"]:
+            bone = _Bone("")
+        elif bone is None:
+            raise reader.error(number, f"{words[0]!r} is not expected here")
+        elif words == ["end"]:
+            bones[bone.name] = bone
+            bone = None
+        else:
+            _describe(reader, bone, number, words)
+    return bones
+
+
+def _describe(reader: _Reader, bone: _Bone, number: int, words: list[str]) -> None:
+    """Take one line about a bone; id, limits and other things that do not move it are passed over."""
+    match words:
+        case ["name", name]:
+            bone.name = name
+        case ["direction", *values]:
+            bone.direction = np.array(reader.numbers(number, values, 3))
+        case ["length", *values]:
+            bone.length = reader.numbers(number, values, 1)[0]
+        case ["axis", *values, order] if len(values) == 3:
+            degrees = np.array(reader.numbers(number, values, 3))
+            bone.axes = euler_matrix(order.lower()[::-1], degrees[None, ::-1])[0]
+        case ["dof", *freedoms]:
+            bone.freedoms = tuple(f.lower() for f in freedoms)
+            if not set(bone.freedoms) <= set(_TURNS):
+                raise reader.error(number, f"the degrees of freedom {' '.join(freedoms)} are not understood")
+
+
+def _hierarchy(reader: _Reader, lines: _Lines, bones: dict[str, _Bone]) -> tuple[list[_Bone], dict[str, str]]:
+    """Bones with parents before children, and the name of each bone's parent."""
     parent_of: dict[str, str] = {}
     order: list[_Bone] = []
-    for number, words in sections[":hierarchy"]:
+    for number, words in lines:
         if words in (["begin"], ["end"]):
             continue
         if words[0] != "root" and words[0] not in parent_of:
@@ -186,4 +221,4 @@ def _read_asf(path: Path) -> tuple[_Bone, list[_Bone], dict[str, str]]:
                 raise reader.error(number, f"{child!r} is not in the bone data")
             parent_of[child] = words[0]
             order.append(bones[child])
-    return root, order, parent_of
+    return order, parent_of

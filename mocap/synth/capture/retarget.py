@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,30 +63,43 @@ def read_map(path: Path | str) -> JointMap:
             f"the joint map cannot be read: {error}", path=path, remedy="correct the file"
         ) from error
 
-    def wrong(what: str) -> MocapError:
-        return MocapError(what, path=path, remedy="correct the joint map")
+    mistake = next(_mistakes(document), None)
+    if mistake is not None:
+        raise MocapError(mistake, path=path, remedy="correct the joint map")
+    fps = document.get("fps")
+    return JointMap(
+        path.stem,
+        document["joints"],
+        float(document.get("unit_m", 1.0)),
+        document.get("up", "y"),
+        None if fps is None else float(fps),
+        document.get("reference", "rest"),
+    )
 
-    joints = document.get("joints")
-    unknown = set(document) - {"joints", "unit_m", "up", "fps", "reference"}
-    if unknown:
-        raise wrong(f"{min(unknown)}: unknown key")
+
+def _mistakes(document: dict[str, Any]) -> Iterator[str]:
+    """What is wrong with a mapping file, each with its key."""
+    if unknown := set(document) - {"joints", "unit_m", "up", "fps", "reference"}:
+        yield f"{min(unknown)}: unknown key"
+    yield from _mistakes_of_joints(document.get("joints"))
+    for key in ("unit_m", "fps"):
+        value = document.get(key, 1.0)
+        if not isinstance(value, (int, float)) or not value > 0:
+            yield f"{key}: a positive number is expected, got {value!r}"
+    if (up := document.get("up", "y")) not in _UP:
+        yield f"up: 'x', 'y' or 'z' is expected, got {up!r}"
+    if (reference := document.get("reference", "rest")) not in ("rest", "first_frame"):
+        yield f"reference: 'rest' or 'first_frame' is expected, got {reference!r}"
+
+
+def _mistakes_of_joints(joints: Any) -> Iterator[str]:
     if not isinstance(joints, dict) or not all(isinstance(v, str) for v in joints.values()):
-        raise wrong("joints: a table of names is expected")
+        yield "joints: a table of names is expected"
+        return
     if strange := set(joints) - set(JOINTS):
-        raise wrong(f"joints.{min(strange)}: there is no such joint, take some of {', '.join(JOINTS)}")
+        yield f"joints.{min(strange)}: there is no such joint, take some of {', '.join(JOINTS)}"
     if missing := [j for j in _NEEDED if j not in joints]:
-        raise wrong(f"joints.{missing[0]}: missing")
-    unit_m, fps = document.get("unit_m", 1.0), document.get("fps")
-    if not isinstance(unit_m, (int, float)) or not unit_m > 0:
-        raise wrong(f"unit_m: a positive number is expected, got {unit_m!r}")
-    if fps is not None and (not isinstance(fps, (int, float)) or not fps > 0):
-        raise wrong(f"fps: a positive number is expected, got {fps!r}")
-    up, reference = document.get("up", "y"), document.get("reference", "rest")
-    if up not in _UP:
-        raise wrong(f"up: 'x', 'y' or 'z' is expected, got {up!r}")
-    if reference not in ("rest", "first_frame"):
-        raise wrong(f"reference: 'rest' or 'first_frame' is expected, got {reference!r}")
-    return JointMap(path.stem, joints, float(unit_m), up, None if fps is None else float(fps), reference)
+        yield f"joints.{missing[0]}: missing"
 
 
 def built_in_maps() -> list[JointMap]:
@@ -136,7 +151,7 @@ def retarget(
     legs, feet are put on the floor and held still while they bear weight, which turns the legs by a few degrees.
     """
     source, turned, still = _in_our_axes(clip, reference, joint_map)
-    rotations = _world_rotations(source, turned, still, figure)
+    rotations = _world_rotations(source, turned, still)
     hips = 0.5 * (source["left_hip"] + source["right_hip"])
     leg = _leg_length({k: v[None] for k, v in still.items()})
     root = hips * (figure.thigh_m + figure.shank_m) / leg
@@ -180,23 +195,12 @@ _NEXT = {
 }
 
 
-def _world_rotations(
-    source: dict[str, Array], turned: dict[str, Array], still: dict[str, Array], figure: Figure
-) -> Array:
+def _world_rotations(source: dict[str, Array], turned: dict[str, Array], still: dict[str, Array]) -> Array:
     """World rotations (T, J, 3, 3) of our joints."""
     n = len(source["pelvis"])
     out = np.zeros((n, len(JOINTS), 3, 3))
-    for joint in JOINTS:
-        j = JOINT[joint]
-        if joint not in turned:
-            continue  # filled below
-        out[:, j] = turned[joint]
-        if joint in _NEXT and _NEXT[joint] in source:
-            # The bones of the trunk keep the turn of the joint, corrected to point as the source's bones do.
-            after = _NEXT[joint]
-            was = still[after] - still[joint]
-            now = source[after] - source[joint]
-            out[:, j] = _swing(turned[joint] @ was, now) @ turned[joint]
+    for joint in turned:
+        out[:, JOINT[joint]] = _trunk_rotations(joint, source, turned, still)
     for side, _ in SIDES:
         for first, second, tip, hinge in (
             ("shoulder", "elbow", "wrist", -1.0),
@@ -204,25 +208,34 @@ def _world_rotations(
         ):
             a, b, c = (f"{side}_{x}" for x in (first, second, tip))
             bone = source[b] - source[a], source[c] - source[b]
-            align = _swing(np.array([[0.0, 0.0, -1.0]]), (still[b] - still[a])[None])[0]
+            align = _swing(_DOWN, (still[b] - still[a])[None])[0]
             out[:, JOINT[a]], out[:, JOINT[b]] = hinged_frames(*bone, (turned[a] @ align)[:, :, 1], hinge)
-        for end, before in (("wrist", "elbow"), ("ankle", "knee")):
-            joint = f"{side}_{end}"
-            if end == "wrist":
-                align = _swing(
-                    np.array([[0.0, 0.0, -1.0]]), (still[joint] - still[f"{side}_{before}"])[None]
-                )[0]
-                out[:, JOINT[joint]] = turned[joint] @ align
-                continue
-            toe = f"{side}_toe"
-            toes = still[toe] - still[joint] if toe in still else np.array([1.0, 0.0, 0.0])
-            align = rotation_about(2, np.arctan2(toes[1], toes[0]))  # feet stand flat in the reference
-            out[:, JOINT[joint]] = turned[joint] @ align
-            out[:, JOINT[toe]] = turned[toe] @ align if toe in turned else out[:, JOINT[joint]]
+        wrist, ankle, toe = (f"{side}_{x}" for x in ("wrist", "ankle", "toe"))
+        align = _swing(_DOWN, (still[wrist] - still[f"{side}_elbow"])[None])[0]
+        out[:, JOINT[wrist]] = turned[wrist] @ align
+        toes = still[toe] - still[ankle] if toe in still else np.array([1.0, 0.0, 0.0])
+        align = rotation_about(2, np.arctan2(toes[1], toes[0]))  # feet stand flat in the reference
+        out[:, JOINT[ankle]] = turned[ankle] @ align
+        out[:, JOINT[toe]] = turned[toe] @ align if toe in turned else out[:, JOINT[ankle]]
         clavicle = f"{side}_clavicle"
         if clavicle not in turned:
             out[:, JOINT[clavicle]] = out[:, JOINT["chest"]]
     return out
+
+
+_DOWN = np.array([[0.0, 0.0, -1.0]])  # where the bones of a limb point when our skeleton is at rest
+
+
+def _trunk_rotations(
+    joint: str, source: dict[str, Array], turned: dict[str, Array], still: dict[str, Array]
+) -> Array:
+    """World rotations (T, 3, 3) of a joint; in the trunk corrected so that the bone points as the source's does."""
+    after = _NEXT.get(joint)
+    if after is None or after not in source:
+        return turned[joint]
+    was = still[after] - still[joint]
+    now = source[after] - source[joint]
+    return _swing(turned[joint] @ was, now) @ turned[joint]
 
 
 def _swing(was: Array, now: Array) -> Array:
