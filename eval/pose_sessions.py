@@ -27,7 +27,7 @@ PAGE = ROOT / "docs" / "results.md"
 
 # *_final: persons, rigs and seeds made after the settings were chosen. *_test: held out from the choice of
 # settings, but walk_test showed a loss of the legs that led to the rescue of lost poses; from jog_test on, no pose had
-# ever been looked for in them before the fourth round, whose settings were chosen without them.
+# ever been looked for in them while the settings were chosen.
 SCENES = (
     "walk_final",
     "box_final",
