@@ -1,4 +1,4 @@
-"""How well `mocap calibrate` finds known cameras: 40 simulated boards, corners with noise, numbered by chance.
+"""Board calibration on 40 simulated boards, corners with noise, numbered by chance: errors of known cameras.
 
     python -m eval.board_calibration [--seeds 40] [--frames 25] [--noise-px 0.1]
 

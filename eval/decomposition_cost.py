@@ -1,4 +1,4 @@
-"""What resampling and swapping cost, over the number of particles N and of parts P.
+"""Costs of resampling and swapping, over the number of particles N and of parts P.
 
 Objects with |P_j| arms of length K - 1 (XN 4.4.2) and a likelihood that costs next to nothing, so that only the work of
 the filters is seen. Times are processor time of the fastest of several frames. Fits time = a N^x and a P^x and prints

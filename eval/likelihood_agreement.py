@@ -1,4 +1,4 @@
-"""How well the fast likelihood agrees with the exact one: ranks of particles, and what it costs in tracking.
+"""Agreement of the fast likelihood with the exact one: ranks of particles, and what it costs in tracking.
 
     python -m eval.likelihood_agreement [--scenes walk,gesture] [--seeds 3] [--frames 60]
 

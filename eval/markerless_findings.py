@@ -1,4 +1,4 @@
-"""What the source found out about the markerless APF: layers, particles, cameras, voxel size, likelihood, density.
+"""Findings of the source on the markerless APF: layers, particles, cameras, voxel size, likelihood, density.
 
     python -m eval.markerless_findings [--scenes walk,gesture] [--masks true] [--seeds 3] [--frames 60]
 

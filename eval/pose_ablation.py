@@ -1,4 +1,4 @@
-"""What each part of the default pose mode contributes: variants of its settings over sessions and seeds.
+"""Ablation of the default pose mode: variants of its settings over sessions and seeds.
 
     python -m eval.pose_ablation [--only dev:walk,walk] [--variants default,no_outlines] [--seeds 3] [--work out/eval]
 

@@ -1,4 +1,4 @@
-"""How fast the pose stage is: milliseconds per frame of one person, and seconds until the first pose is settled.
+"""Speed of the pose stage: milliseconds per frame of one person, and seconds until the first pose is settled.
 
     python -m eval.pose_speed [--scene demo] [--preset default] [--threads 1,2] [--runs 2] [--work out/eval]
 

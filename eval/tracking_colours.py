@@ -1,4 +1,4 @@
-"""What the trackers' limits rest on: likeness of colour models, and errors of centroids, on development scenes.
+"""Ground of the trackers' limits: likeness of colour models, and errors of centroids, on development scenes.
 
     python -m eval.tracking_colours
 

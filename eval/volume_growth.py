@@ -1,4 +1,4 @@
-"""What carving costs, over voxel size, room, cameras and persons: it grows with the surface, not with the room.
+"""Growth of the cost of carving with voxel size, room, cameras and persons: with the surface, not with the room.
 
     python -m eval.volume_growth        # about two minutes; Open3D takes part where it is installed
 

@@ -1,4 +1,4 @@
-"""What operating systems do each in their own way: the peak memory of a process, and a lock on a file."""
+"""Differences between operating systems: the peak memory of a process, and a lock on a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress of long work, as everybody who does some tells it to whoever shows it."""
+"""Progress of long work, as who does it tells it to whoever shows it."""
 
 from __future__ import annotations
 

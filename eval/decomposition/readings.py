@@ -1,4 +1,4 @@
-"""What the sources leave open, read otherwise: likelihoods, states and filters of eval.decomposition_regimes only."""
+"""Other readings of what the sources leave open: likelihoods, states and filters of eval.decomposition_regimes only."""
 
 from __future__ import annotations
 

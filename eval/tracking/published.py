@@ -1,4 +1,4 @@
-"""What CF 4.4 prints for the CLEAR 2007 recordings."""
+"""Published scores of CF 4.4 on the CLEAR 2007 recordings."""
 
 from __future__ import annotations
 

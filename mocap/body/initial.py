@@ -1,4 +1,4 @@
-"""Where a body may start: standing height from the hull, and candidate first poses around a centroid."""
+"""Starts of a body: standing height from the hull, and candidate first poses around a centroid."""
 
 from __future__ import annotations
 

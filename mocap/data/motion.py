@@ -1,4 +1,4 @@
-"""What comes out of the pipeline, and what truth is given as: landmarks and tracks over time."""
+"""Landmarks and tracks over time: what comes out of the pipeline, and what truth is given as."""
 
 from __future__ import annotations
 

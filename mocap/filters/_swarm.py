@@ -1,4 +1,4 @@
-"""What the swarm filters share: a swarm's search, over the whole state or part after part."""
+"""The search of a swarm, over the whole state or part after part: what the swarm filters share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the filters that place a body part after part share: resample, propagate, score, recombine, set after set."""
+"""Partitioned steps: resample, propagate, score, recombine, set after set; what filters part after part share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What SHBM-APF does between its models: particles to a finer or a coarser one, their noise, their number."""
+"""Structural steps of SHBM-APF between its models: particles to a finer or a coarser one, their noise, their number."""
 
 from __future__ import annotations
 

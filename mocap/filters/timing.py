@@ -1,4 +1,4 @@
-"""Where the time of a filter step goes."""
+"""Timing of a filter step: where the time goes."""
 
 from __future__ import annotations
 

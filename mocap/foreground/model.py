@@ -1,4 +1,4 @@
-"""What the empty scene looks like: per-pixel mean and spread, from a clip, the running scene or a still."""
+"""Background model: per-pixel mean and spread of the empty scene, from a clip, the running scene or a still."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How good the masks of each camera are, told without truth, and what to do about bad ones."""
+"""Quality of masks: how good those of each camera are, told without truth, and what to do about bad ones."""
 
 from __future__ import annotations
 

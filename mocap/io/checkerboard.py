@@ -1,4 +1,4 @@
-"""How good a calibration is, measured on a checkerboard that several cameras saw at the same time."""
+"""Checkerboard measurements: how good a calibration is, from a board that several cameras saw at the same time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well a filter knows which limbs have data: lost ones found out, present ones left alone."""
+"""Scores of lost limbs: how well a filter knows which limbs have data, lost ones found out, present ones left alone."""
 
 from __future__ import annotations
 

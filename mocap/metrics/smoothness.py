@@ -1,4 +1,4 @@
-"""How a motion moves: error of the acceleration against the truth, and jitter of either side alone."""
+"""Smoothness: error of the acceleration against the truth, and jitter of either side alone."""
 
 from __future__ import annotations
 

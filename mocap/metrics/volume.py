@@ -1,4 +1,4 @@
-"""How well one set of voxels covers another."""
+"""Volume scores: how well one set of voxels covers another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Synthetic worlds with exact truth: `list_scenes`, `load_scene`, `synthesise`, `preview_sheet`, `scene_sheet`."""
+"""Synthetic sessions with exact truth: people, rooms, cameras, pictures, markers, faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can go wrong with cameras and light: the switches of `[[faults]]`, and what each picture shows because of them.
+"""Faults of cameras and light: the switches of `[[faults]]`, and what each picture shows because of them.
 
 Three clocks: a *frame* counts the pictures in a camera's file, a *shot* the pictures that the camera has taken, and an
 *instant* is the moment of the session that a shot shows, in frames of the session (it may be fractional). Without

@@ -1,4 +1,4 @@
-"""What each camera sees of every person, exactly: projected landmarks and markers, what hides them, tight boxes."""
+"""Views of every person, exactly, per camera: projected landmarks and markers, what hides them, tight boxes."""
 
 from __future__ import annotations
 

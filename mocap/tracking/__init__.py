@@ -1,4 +1,4 @@
-"""Who is where: blob features, the person verdict, three trackers and the life of a track."""
+"""Tracking: blob features, the person verdict, three trackers and the life of a track."""
 
 from mocap.tracking.features import (
     PERSON_TREE,

@@ -1,4 +1,4 @@
-"""Which voxels belong to which track: components, ellipsoids of influence, and blobs of several persons."""
+"""Claims of tracks to voxels: components, ellipsoids of influence, and blobs of several persons."""
 
 from __future__ import annotations
 

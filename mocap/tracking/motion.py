@@ -1,4 +1,4 @@
-"""How persons move between frames: a velocity that fades, and how uncertain a position is."""
+"""Motion of persons between frames: a velocity that fades, and how uncertain a position is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the trackers decide by, what they remember and what they tell."""
+"""State of the trackers: what they decide by, what they remember and what they say."""
 
 from __future__ import annotations
 

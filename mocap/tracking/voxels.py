@@ -1,4 +1,4 @@
-"""What a tracker sees of one frame: occupied voxels, their component, surface and colour."""
+"""Voxels of one frame as a tracker sees them: which are occupied, their component, surface and colour."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person looks at to judge a run: overlays, plots, a 3D scene and the report."""
+"""Views of a run, to judge it by: overlays, plots, a 3D scene and the report."""
 
 from mocap.view.html import Figure
 from mocap.view.overlay import (

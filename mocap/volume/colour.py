@@ -1,4 +1,4 @@
-"""Which cameras see a voxel, and the colour they give it."""
+"""Colours of voxels: which cameras see a voxel, and the colour they give it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What masks say about cameras: each mask against the hull that the other cameras carve, over time.
+"""Consistency of masks: each mask against the hull that the other cameras carve, over time.
 
 A silhouette of the others' hull holds the person, so a healthy camera's mask lies inside it. When the camera has
 moved, its mask sticks out; when it lags, the mask fits the hull of another frame. The hull of the others is carved

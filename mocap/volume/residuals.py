@@ -1,4 +1,4 @@
-"""How well hull and silhouettes agree."""
+"""Agreement of hull and silhouettes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the writers share: axes, atomic files, gap-free frames, held poses."""
+"""Writing of formats: axes, atomic files, gap-free frames, held poses."""
 
 from __future__ import annotations
 

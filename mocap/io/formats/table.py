@@ -1,4 +1,4 @@
-"""What every reader of foreign motion gives: named points over time, in the unit and the axes of the file."""
+"""Table of foreign motion, which every reader gives: named points over time, in the unit and the axes of the file."""
 
 from __future__ import annotations
 

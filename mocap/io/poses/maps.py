@@ -1,4 +1,4 @@
-"""Which points of a foreign skeleton are our landmarks: known skeletons, and the small TOML file of `--map`.
+"""Maps of foreign skeletons to our landmarks: known skeletons, and the small TOML file of `--map`.
 
 Names are compared without case, blanks, underscores and a prefix up to a colon, so that `LeftArm`, `left_arm` and
 `mixamorig:LeftArm` are one. Skeletons agree on knees and elbows; they do not agree on neck, head and hips. What cannot

@@ -1,4 +1,4 @@
-"""Which zone of a posed body a camera sees in a pixel."""
+"""Kernel of visibility: which zone of a posed body a camera sees in a pixel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where markers sit and how long a person's segments are, from many frames at once."""
+"""Bundle adjustment of markers: their places on the body and a person's segment lengths, from many frames at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all motions share: curves through knots, legs solved to planted feet, arms solved to targets."""
+"""Kit of the motions: curves through knots, legs solved to planted feet, arms solved to targets."""
 
 from __future__ import annotations
 
