@@ -120,20 +120,7 @@ def _keyed(
     near : the side of the fall; the tables fall to the right.  since : (T,) s since the fall began.
     """
     pace = rng.uniform(0.94, 1.1)
-    table: list[dict[str, float]] = []
-    for i, (_, key) in enumerate(keys):
-        spread = 0.07 if i + 1 < len(keys) else 0.03
-        row: dict[str, float] = {}
-        for name, value in key.items():
-            varied = value if name in ("pitch", "roll") else value * rng.uniform(1 - spread, 1 + spread)
-            if name in ("pitch", "roll") or name.split("_")[0] in ("spine", "chest", "neck", "head"):
-                row[name] = varied
-            elif name.startswith(("near_", "far_", "left_", "right_")):
-                row[name.replace("near_", "right_").replace("far_", "left_")] = varied
-            else:
-                for side, _ in SIDES:
-                    row.setdefault(f"{side}_{name}", varied * rng.uniform(0.96, 1.04))
-        table.append(_mirrored(row) if near == "left" else row)
+    table = [_varied(key, 0.07 if i + 1 < len(keys) else 0.03, near, rng) for i, (_, key) in enumerate(keys)]
     _settle(body, table[-1], is_on_side, near)
     names = sorted(set().union(*table))
     times = np.concatenate([[-1.0, 0.0], [pace * time for time, _ in keys], [pace * keys[-1][0] + 60.0]])
@@ -153,6 +140,21 @@ def _keyed(
         rotation_about(2, np.full(n, heading_rad)) @ rotation_about(1, pitch) @ rotation_about(0, roll)
     )
     return rotations
+
+
+def _varied(key: dict[str, float], spread: float, near: str, rng: np.random.Generator) -> dict[str, float]:
+    """One key posture for both sides, each angle off by up to the relative `spread`.  near : the side of the fall."""
+    row: dict[str, float] = {}
+    for name, value in key.items():
+        varied = value if name in ("pitch", "roll") else value * rng.uniform(1 - spread, 1 + spread)
+        if name in ("pitch", "roll") or name.split("_")[0] in ("spine", "chest", "neck", "head"):
+            row[name] = varied
+        elif name.startswith(("near_", "far_", "left_", "right_")):
+            row[name.replace("near_", "right_").replace("far_", "left_")] = varied
+        else:
+            for side, _ in SIDES:
+                row.setdefault(f"{side}_{name}", varied * rng.uniform(0.96, 1.04))
+    return _mirrored(row) if near == "left" else row
 
 
 def _mirrored(row: dict[str, float]) -> dict[str, float]:

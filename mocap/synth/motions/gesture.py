@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.synth.figure import SIDES, Figure
-from mocap.synth.motions.kit import Array, Pose, solve_arms, standing, swing_round
+from mocap.synth.motions.kit import Array, Pose, Stance, solve_arms, standing, swing_round
 
 
 def gesture(
@@ -18,7 +18,7 @@ def gesture(
     rng: np.random.Generator,
 ) -> Pose:
     """Standing with arm gestures in turn: wave, point, beckon, arms out, alternating between the arms."""
-    rotations, root, _ = standing(figure, n_frames, fps, position, heading_rad, rng, sway=1.3)
+    rotations, root = standing(figure, n_frames, fps, position, heading_rad, rng, Stance(sway=1.3))
     reach = figure.upper_arm_m + figure.forearm_m
     rest = np.array([0.10, 0.12, -0.93])
     # Wrist targets relative to the shoulder, in arm lengths: forward, outward, up.

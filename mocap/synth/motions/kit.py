@@ -278,6 +278,28 @@ def relative(parent: Array, child: Array) -> Array:
     return parent.transpose(0, 2, 1) @ child
 
 
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """How somebody stands; what may change over time is a number or an array (T,).
+
+    sway : size of the slow noise, 1 = usual.  stagger, width : distance of the feet along and across, m; the width is
+    usual when not given.  crouch : lowering of the pelvis, of the stature.  back : shift of the pelvis backwards, m.
+    bounce : of the pelvis, m.  turn, trunk_turn : of the pelvis and of the trunk on it, rad.  bend : of the trunk,
+    rad.  gaze_yaw : of the head, rad; it looks about when not given.
+    """
+
+    sway: float = 1.0
+    stagger: float = 0.0
+    width: float | None = None
+    crouch: Array | float = 0.003
+    back: Array | float = 0.0
+    bounce: float = 0.0
+    turn: Array | float = 0.0
+    trunk_turn: Array | float = 0.0
+    bend: Array | float = 0.0
+    gaze_yaw: Array | float | None = None
+
+
 def standing(
     figure: Figure,
     n_frames: int,
@@ -285,24 +307,13 @@ def standing(
     position: tuple[float, float],
     heading_rad: float,
     rng: np.random.Generator,
-    *,
-    sway: float,
-    stagger: float = 0.0,
-    width: float | None = None,
-    crouch: Array | float = 0.003,
-    back: Array | float = 0.0,
-    bounce: float = 0.0,
-    turn: Array | float = 0.0,
-    trunk_turn: Array | float = 0.0,
-    bend: Array | float = 0.0,
-    gaze_yaw: Array | float | None = None,
-) -> tuple[Array, Array, Array]:
-    """Rotations, root and ankles of a person with both feet planted; pelvis sways, head looks about."""
-    ankle_h = figure.ankle_height_m
-    half = 0.5 * (0.125 * figure.stature_m if width is None else width)
+    stance: Stance,
+) -> tuple[Array, Array]:
+    """Rotations and root of a person with both feet planted; pelvis sways, head looks about."""
     forward = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
     left = np.array([-forward[1], forward[0], 0.0])
     base = np.array([position[0], position[1], 0.0])
+    sway = stance.sway
 
     def noise(slowest_s: float) -> Array:
         return wander(n_frames, fps, slowest_s=slowest_s, rng=rng)
@@ -313,8 +324,10 @@ def standing(
         + sway * 0.012 * noise(4.0)[:, None] * left
         + (sway * 0.006 * noise(5.0) - 0.012)[:, None] * forward
     )
-    root = root - np.broadcast_to(np.asarray(back), (n_frames,))[:, None] * forward
-    turning = np.broadcast_to(np.asarray(turn, dtype=np.float64), (n_frames,)) + sway * 0.02 * noise(5.0)
+    root = root - np.broadcast_to(np.asarray(stance.back), (n_frames,))[:, None] * forward
+    turning = np.broadcast_to(np.asarray(stance.turn, dtype=np.float64), (n_frames,)) + sway * 0.02 * noise(
+        5.0
+    )
     roll = sway * 0.012 * noise(4.0)
     rotations = identity(n_frames)
     rotations[:, 0] = (
@@ -322,29 +335,37 @@ def standing(
     )
     set_trunk(
         rotations,
-        yaw=trunk_turn + sway * 0.03 * noise(4.0),
+        yaw=stance.trunk_turn + sway * 0.03 * noise(4.0),
         roll=-roll,
-        bend=bend - 0.04 + sway * 0.012 * noise(3.0),
-        gaze_yaw=0.35 * noise(3.2) if gaze_yaw is None else gaze_yaw + 0.04 * noise(2.0),
+        bend=stance.bend - 0.04 + sway * 0.012 * noise(3.0),
+        gaze_yaw=0.35 * noise(3.2) if stance.gaze_yaw is None else stance.gaze_yaw + 0.04 * noise(2.0),
         gaze_down=0.06 + 0.06 * noise(2.6),
     )
+    half = 0.5 * (0.125 * figure.stature_m if stance.width is None else stance.width)
     ankles, feet, toes = [], [], []
     for _, sign in SIDES:
-        ankle = base + sign * half * left + sign * 0.5 * stagger * forward + np.array([0, 0, ankle_h])
-        toe_out = np.deg2rad(9.0) + (np.deg2rad(22.0) if stagger * sign < 0 else 0.0)
-        yaw = heading_rad + sign * toe_out
+        ankle = base + sign * half * left + sign * 0.5 * stance.stagger * forward
+        ankle = ankle + np.array([0, 0, figure.ankle_height_m])
+        toe_out = np.deg2rad(9.0) + (np.deg2rad(22.0) if stance.stagger * sign < 0 else 0.0)
         ankles.append(np.tile(ankle, (n_frames, 1)))
-        feet.append(np.tile(rotation_about(2, yaw), (n_frames, 1, 1)))
+        feet.append(np.tile(rotation_about(2, heading_rad + sign * toe_out), (n_frames, 1, 1)))
         toes.append(np.zeros(n_frames))
+    lowest = _highest_root(figure, rotations, root, ankles).min()
+    bounce = stance.bounce * (np.cos(2 * np.pi * 1.9 * t) - 1)
+    root[:, 2] = lowest - stance.crouch * figure.stature_m + bounce
+    solve_legs(figure, rotations, root, ankles, feet, toes)
+    return rotations, root
+
+
+def _highest_root(figure: Figure, rotations: Array, root: Array, ankles: list[Array]) -> Array:
+    """Height (T,) m of the pelvis at which one leg is as straight as it gets over its ankle, (T, 3)."""
     reach = MAX_REACH * (figure.thigh_m + figure.shank_m)
-    limit = np.full(n_frames, np.inf)
+    limit = np.full(len(root), np.inf)
     for (side, _), ankle in zip(SIDES, ankles, strict=True):
         hip = np.einsum("tab,b->ta", rotations[:, 0], figure.offsets[JOINT[f"{side}_hip"]])
         across = np.linalg.norm(ankle[:, :2] - root[:, :2] - hip[:, :2], axis=1)
         limit = np.minimum(limit, ankle[:, 2] + np.sqrt(reach**2 - across**2) - hip[:, 2])
-    root[:, 2] = limit.min() - crouch * figure.stature_m + bounce * (np.cos(2 * np.pi * 1.9 * t) - 1)
-    solve_legs(figure, rotations, root, ankles, feet, toes)
-    return rotations, root, np.stack(ankles, axis=1)
+    return limit
 
 
 def blend_rotations(a: Array, b: Array, share: Array) -> Array:

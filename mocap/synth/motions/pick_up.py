@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.synth.figure import SIDES, Figure
-from mocap.synth.motions.kit import Array, Pose, follow, solve_arms, standing
+from mocap.synth.motions.kit import Array, Pose, Stance, follow, solve_arms, standing
 
 
 def pick_up(
@@ -29,13 +29,7 @@ def pick_up(
         low.append((clock, np.zeros(3)))
         clock += rng.uniform(0.3, 0.8)
     depth, bend, front = follow(low, n_frames, fps).T
-    rotations, root, _ = standing(
-        figure,
-        n_frames,
-        fps,
-        position,
-        heading_rad,
-        rng,
+    stance = Stance(
         sway=0.8,
         width=0.26,
         crouch=0.003 + 0.23 * depth,
@@ -43,6 +37,7 @@ def pick_up(
         bend=0.95 * bend,
         gaze_yaw=0.0,
     )
+    rotations, root = standing(figure, n_frames, fps, position, heading_rad, rng, stance)
     reach = figure.upper_arm_m + figure.forearm_m
     hang = np.column_stack([0.08 + 0.30 * front, 0.12 - 0.10 * front, -0.95 + 0.09 * front])
     goals = [hang * reach] * 2

@@ -92,13 +92,7 @@ def _plan(
     step_m, step_s = 0.5 * stride, 0.5 * stride / speed
     side = int(rng.integers(2))
     seatings: list[Seating] = []
-    places = []
-    for stop in stops:
-        place = stop.at
-        if stop.seat_height_m is not None and stop.heading_rad is not None:
-            check_seat(figure, stop.seat_height_m)
-            place = place_before(figure, stop.at, stop.heading_rad)
-        places.append(np.array(place))
+    places = [_place(figure, stop) for stop in stops]
     first, clock = stops[0], start_s
     heading = _first_heading(first, places)
     plan = Footsteps(figure, (float(places[0][0]), float(places[0][1])), heading)
@@ -124,6 +118,14 @@ def _plan(
         if until_s is not None and clock > until_s:
             break
     return plan, seatings
+
+
+def _place(figure: Figure, stop: Stop) -> Array:
+    """Where one stands at a stop, (2,) m: at it, or before its seat."""
+    if stop.seat_height_m is None or stop.heading_rad is None:
+        return np.array(stop.at)
+    check_seat(figure, stop.seat_height_m)
+    return np.array(place_before(figure, stop.at, stop.heading_rad))
 
 
 def _first_heading(first: Stop, places: Sequence[Array]) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mocap.synth.figure import SIDES, Figure
-from mocap.synth.motions.kit import Pose, hang_arm, standing, wander
+from mocap.synth.motions.kit import Pose, Stance, hang_arm, standing, wander
 
 
 def stand(
@@ -18,7 +18,7 @@ def stand(
     rng: np.random.Generator,
 ) -> Pose:
     """Standing upright, looking about, shifting the weight a little."""
-    rotations, root, _ = standing(figure, n_frames, fps, position, heading_rad, rng, sway=1.0)
+    rotations, root = standing(figure, n_frames, fps, position, heading_rad, rng, Stance())
     for side, sign in SIDES:
         drift = np.deg2rad(2.5) * wander(n_frames, fps, slowest_s=4.0, rng=rng)
         hang_arm(
