@@ -106,7 +106,7 @@ def test_a_missing_package_names_the_remedy(tmp_path: Path, monkeypatch: pytest.
 
     anny_body._model.cache_clear()
     monkeypatch.setitem(sys.modules, "anny", None)
-    with pytest.raises(MocapError, match=r"mocap\[anny\]"):
+    with pytest.raises(MocapError, match=r"mocap-volumes\[anny\]"):
         build_world(scene_from_dict(_scene(body="anny")))
     with pytest.raises(MocapError, match=r"persons\.0\.body"):
         synthesise(scene_from_dict(_scene()), tmp_path / "s", body="clay")
