@@ -8,5 +8,5 @@ Progress = Callable[[str, int, int], None]
 """Called as progress(what, done, total) each time something of `what` is finished."""
 
 
-def silent(what: str, done: int, total: int) -> None:
-    """The progress that nobody looks at."""
+def no_progress(what: str, done: int, total: int) -> None:
+    """Progress that nobody looks at."""

@@ -6,7 +6,7 @@ by the relative pose of every pair of cameras; then OpenCV's multi-view calibrat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,10 +20,10 @@ from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from mocap.io.checkerboard import find_board, numberings, triangulate
 from mocap.io.session.sources import sources_in
 from mocap.io.video import clip_info, iter_clip
+from mocap.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 Size = tuple[int, int]
-Progress = Callable[[str, int, int], None]
 
 MIN_VIEWS = 6  # of each camera; fewer leave the lens undetermined
 _MIN_COMMON = 3  # frames that must agree on how two cameras stand to each other
@@ -80,7 +80,7 @@ def find_board_views(
     *,
     floor_frame: int,
     n_frames: int = 60,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> BoardViews:
     """Look for the board in frames spread evenly over synchronised clips, and in the floor frame.
 
@@ -103,8 +103,7 @@ def find_board_views(
                 if found is not None:
                     corners[frame][name] = found
                 done += 1
-                if progress is not None:
-                    progress("board", done, total)
+                progress("board", done, total)
             if frame >= wanted[-1]:
                 break
     return BoardViews(size, {name: info.size for name, info in infos.items()}, corners, n)

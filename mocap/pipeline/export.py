@@ -18,8 +18,8 @@ from mocap.io.store import StageStore
 from mocap.pipeline.products.poses import motion_of, stored_poses
 from mocap.pipeline.tracking import every_frame
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
+from mocap.progress import Progress, no_progress
 
-Progress = Callable[[str, int, int], None]
 Frames = tuple[int | None, int | None]
 
 # What can be exported -> formats, the first by default.
@@ -61,7 +61,7 @@ def export_run(
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     store = StageStore(out / "store.zarr")
-    tick: Progress = progress or (lambda stage, done, total: None)
+    tick = progress or no_progress
     if what == "voxels":
         return _export_voxels(store, folder, chosen, frames, cubes, tick)
     return _export_motion(store, folder, chosen, frames, _fps_of_run(out), tick)

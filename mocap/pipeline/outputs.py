@@ -20,8 +20,8 @@ from mocap.pipeline.pose import PersonPoses
 from mocap.pipeline.products.poses import body_files
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import write_scene
-from mocap.pipeline.stage import Progress
 from mocap.pipeline.tracking import every_frame
+from mocap.progress import Progress
 
 
 def write_tables(found: Found, folder: Path, *, has_poses: bool) -> None:

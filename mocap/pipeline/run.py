@@ -33,10 +33,11 @@ from mocap.pipeline.record import (
     versions,
 )
 from mocap.pipeline.report_data import write_run_report
-from mocap.pipeline.stage import Job, Progress, Stage, StageReport, is_done, no_progress, run_stage
+from mocap.pipeline.stage import Job, Stage, StageReport, is_done, run_stage
 from mocap.portable import peak_memory_mb
 from mocap.products import tracks as tracks_product
 from mocap.products.tracks import stored_tracks
+from mocap.progress import Progress, no_progress
 
 
 def run_session(

@@ -19,13 +19,9 @@ from mocap.io.session import Session
 from mocap.io.store import StageStore, StageWriter
 from mocap.io.video import FrameReader
 from mocap.pipeline.config import Config
+from mocap.progress import Progress, no_progress
 
-Progress = Callable[[str, int, int], None]
 Arrays = Mapping[str, NDArray[Any]]
-
-
-def no_progress(stage: str, done: int, total: int) -> None:
-    """Says nothing."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from mocap.errors import MocapError
 from mocap.io.calibration import write_calibration
-from mocap.progress import Progress, silent
+from mocap.progress import Progress, no_progress
 from mocap.synth.markers import Sight, make_detections, write_detections
 from mocap.synth.recorder import Moments, Recorder
 from mocap.synth.render import require_embree
@@ -32,7 +32,7 @@ def synthesise(
     seed: int | None = None,
     workers: int = 2,
     body: str | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Path:
     """Write the session folder of a scene (or scene name, or TOML file) to `out` and return it.
 

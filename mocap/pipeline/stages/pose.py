@@ -18,7 +18,7 @@ from mocap.pipeline.pose import PersonPoses, estimate_height, follow_person, mot
 from mocap.pipeline.pose_problem import HullOf, PersonHull, make_tools
 from mocap.pipeline.products import poses as poses_product
 from mocap.pipeline.products.poses import store_poses, stored_poses
-from mocap.pipeline.stage import ClipWork, Job, Progress, Stage, StageReport
+from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products import owners as owners_product
@@ -26,6 +26,7 @@ from mocap.products.hulls import pixels_from_arrays, stored_grid
 from mocap.products.masks import masks_from_arrays
 from mocap.products.owners import owners_at
 from mocap.products.tracks import stored_tracks
+from mocap.progress import Progress
 from mocap.volume import surface_voxels
 
 
