@@ -6,15 +6,16 @@ python docs/make_configuration.py --check    # exit with 1 when the page is out 
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import tomllib
 import types
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import annotated_types
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter
 from pydantic.fields import FieldInfo
 
 from mocap.pipeline.config import Config, presets
@@ -23,7 +24,7 @@ PAGE = Path(__file__).with_name("configuration.md")
 
 _HEAD = """# Configuration
 
-<!-- Written by docs/make_configuration.py from mocap/pipeline/config.py; do not edit by hand. -->
+<!-- Written by docs/make_configuration.py from the configuration and the pose settings; do not edit by hand. -->
 
 Everything that decides a result besides the input and the seed. A preset is a TOML file that names only what differs
 from the defaults below. `--preset` takes the name of a preset or the path of your own file; without it the preset is
@@ -90,14 +91,35 @@ def value_words(value: Any) -> str:
     if isinstance(value, bool):
         return f"`{str(value).lower()}`"
     if isinstance(value, tuple):
-        return "`[" + ", ".join(f'"{v}"' for v in value) + "]`"
+        return "`[" + ", ".join(f'"{v}"' if isinstance(v, str) else str(v) for v in value) + "]`"
     return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
 
 
-def section_text(name: str, model: type[BaseModel]) -> str:
-    """The table of one section."""
-    intro = _WORDS.get(name) or " ".join((model.__doc__ or "").split())
-    return table_text(f"[{name}]", intro, {f"{name}.{key}": f for key, f in model.model_fields.items()})
+def fields_of(section: type) -> dict[str, FieldInfo]:
+    """The keys of a section, which is a pydantic model or a plain dataclass."""
+    if issubclass(section, BaseModel):
+        return dict(section.model_fields)
+    hints, words = get_type_hints(section), TypeAdapter(section).json_schema()["properties"]
+    plain = section()
+    return {
+        f.name: FieldInfo(
+            annotation=hints[f.name],
+            default=getattr(plain, f.name),
+            description=words[f.name].get("description"),
+        )
+        for f in dataclasses.fields(section)
+    }
+
+
+def section_text(name: str, section: type) -> str:
+    """The table of one section, or of the sections inside it."""
+    intro = _WORDS.get(name) or " ".join((section.__doc__ or "").split())
+    own = {f"{name}.{key}": f for key, f in fields_of(section).items()}
+    inner = {path: f.annotation for path, f in own.items() if dataclasses.is_dataclass(f.annotation)}
+    if inner:
+        head = f"## [{name}]\n\n{intro}\n"
+        return "\n".join([head, *(section_text(path, kind) for path, kind in inner.items())])  # type: ignore[arg-type]
+    return table_text(f"[{name}]", intro, own)
 
 
 def table_text(heading: str, intro: str, fields: dict[str, FieldInfo]) -> str:

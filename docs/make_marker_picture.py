@@ -14,9 +14,9 @@ import numpy as np
 from mocap.io.session import open_session
 from mocap.io.store import StageStore
 from mocap.io.video import FrameReader
-from mocap.pipeline.products.poses import stored_poses
 from mocap.pipeline.scene_frames import body_parts
 from mocap.products.detections import detections_at
+from mocap.products.poses import stored_poses
 from mocap.view import crop, draw_body, draw_skeleton, person_window
 from mocap.view.detections import draw_detections
 

@@ -24,7 +24,7 @@ from mocap.body import joint_transforms, landmarks_of, load_body_model, neutral_
 from mocap.data import LANDMARKS, Camera, Hull, VoxelGrid
 from mocap.filters import initial_particles
 from mocap.filters.apf import ApfSettings, apf_step
-from mocap.filters.refine import refine
+from mocap.filters.refine import RefineSettings, refine
 from mocap.foreground import Segmenter, learn_background
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
@@ -33,13 +33,14 @@ from mocap.io.video import FrameReader, iter_clip
 from mocap.likelihood.colours import ColourProblem, new_appearance
 from mocap.metrics import epsilon_lilliefors, point_errors
 from mocap.pipeline.config import load_config
-from mocap.pipeline.pose import PersonPoses
-from mocap.pipeline.pose_problem import PersonHull, PoseTools, make_tools
-from mocap.pipeline.products.poses import stored_poses
+from mocap.pipeline.pose_settings import make_tools
 from mocap.pipeline.scene_frames import body_parts
 from mocap.pipeline.stages.pose import hulls_of_person
+from mocap.pose.result import PersonPoses
+from mocap.pose.volume import PersonHull, VolumeTools
 from mocap.products.hulls import hull_from_arrays, stored_grid
 from mocap.products.masks import masks_from_arrays
+from mocap.products.poses import stored_poses
 from mocap.view import (
     contact_sheet,
     crop,
@@ -107,7 +108,7 @@ class Demo:
         return int(np.searchsorted(self.poses.frames, FRAME))
 
     @cached_property
-    def tools(self) -> PoseTools:
+    def tools(self) -> VolumeTools:
         config = load_config()
         return make_tools(
             self.grid,
@@ -332,7 +333,7 @@ def filtering(demo: Demo) -> Image:
         labels.append(f"layer {n_layers} of 4: beta {info.beta[-1]:.2f}")
     tiles.append(draw_body(image, camera, body_parts(body, info.estimate)))
     labels.append("estimate of the filter")
-    refined, _ = refine(surface, info.estimate, tools.refine_settings())
+    refined, _ = refine(surface, info.estimate, RefineSettings(tools.prior_std))
     tiles.append(draw_body(image, camera, body_parts(body, refined)))
     labels.append("refined on the hull")
     tiles = [crop(tile, window, scale=2.0) for tile in tiles]

@@ -70,9 +70,10 @@ def measure(name: str, work: Path, seed: int) -> list[dict[str, Any]]:
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
     from mocap.pipeline.config import load_config
-    from mocap.pipeline.pose import estimate_height, start_person
-    from mocap.pipeline.pose_problem import make_tools
+    from mocap.pipeline.pose_settings import make_tools
     from mocap.pipeline.stages.pose import hulls_of_person
+    from mocap.pose.person import VolumeClip, start_person
+    from mocap.pose.volume import VolumeObservation, estimate_height
     from mocap.products.hulls import stored_grid
     from mocap.products.tracks import stored_tracks
 
@@ -110,9 +111,8 @@ def measure(name: str, work: Path, seed: int) -> list[dict[str, Any]]:
             )
             height: HeightEstimate = head
             if way == "poses":
-                found = start_person(
-                    person, own.frame, own.xyz, hull_of, tools, head, seed=seed, is_size_fitted=True
-                )
+                clip = VolumeClip(person, own.frame, own.xyz, VolumeObservation(tools, hull_of))
+                found = start_person(clip, head, seed=seed, is_size_fitted=True)
                 tools, height = found.tools, found.height
             bones = bone_lengths(landmarks_of(tools.body, neutral_state(tools.body)[None]))
             row: dict[str, Any] = {

@@ -93,8 +93,9 @@ def prepare(work: Path, n_frames: int) -> Clip:
     from mocap.likelihood.markers import MarkerLikelihoodSettings, MarkerProblem, marker_views, observe
     from mocap.likelihood.voxels import VoxelProblem
     from mocap.pipeline.config import load_config
-    from mocap.pipeline.pose_problem import PersonHull, make_tools, pack_volume
+    from mocap.pipeline.pose_settings import make_tools
     from mocap.pipeline.run import run_session
+    from mocap.pose.volume import PersonHull, pack_volume
     from mocap.products.hulls import stored_grid
     from mocap.synth import load_scene, synthesise
     from mocap.volume import surface_voxels

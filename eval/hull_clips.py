@@ -63,8 +63,8 @@ def load_clip(
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
     from mocap.pipeline.config import load_config
-    from mocap.pipeline.pose_problem import PersonHull, pack_volume
     from mocap.pipeline.run import run_session
+    from mocap.pose.volume import PersonHull, pack_volume
     from mocap.products.hulls import stored_grid
     from mocap.synth import synthesise
     from mocap.volume import surface_voxels

@@ -39,8 +39,8 @@ from mocap.errors import MocapError
 from mocap.pipeline.cluster import Engine, Job, Standing, run_jobs
 from mocap.pipeline.cluster.spec import sample_indices
 from mocap.pipeline.config import config_hash
-from mocap.pipeline.markers import Prepared
 from mocap.pipeline.reach import code_hash
+from mocap.pose.marker_person import Prepared
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "eval" / "results" / "markers_figure_6_13.csv"

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from mocap.likelihood.markers import MarkerObservation, MarkerViews, marker_views, observe
 from mocap.pipeline.config import Config, load_config
-from mocap.pipeline.markers import Prepared, prepare_person
+from mocap.pose.marker_person import Prepared, prepare_person
 
 Array = NDArray[np.float64]
 
@@ -153,16 +153,25 @@ def configuration(which: Filter) -> Config:
 def prepare(clip: Clip, seed: int) -> Prepared | None:
     """Body, markers and first pose of a clip's person, found by the default preset at the detector of Table 6.3."""
     seen = observations(clip, TABLE_DETECTOR, seed)
-    return prepare_person(clip.frames, lambda f: seen[f], clip.fps, load_config(), height_m=None, seed=seed)
+    from mocap.pipeline.pose_settings import make_marker_tools
+
+    return prepare_person(
+        clip.frames,
+        lambda f: seen[f],
+        lambda height_m: make_marker_tools(load_config(), clip.fps, height_m),
+        height_m=None,
+        seed=seed,
+    )
 
 
 def run_cell(clip: Clip, person: Prepared, detector: Detector, which: Filter, seed: int) -> dict[str, Any]:
     """One clip, detector and filter: errors in mm over all landmarks and frames.  Source: CF Table 6.3."""
-    from mocap.pipeline.markers import follow_prepared
+    from mocap.pipeline.pose_settings import marker_tools
+    from mocap.pose.marker_person import follow_prepared
 
     seen = observations(clip, detector, seed)
     config = configuration(which)
-    tools = replace(person.tools, pose=config.pose, config=config.markers)
+    tools = marker_tools(person.tools.body, person.tools.markers, person.tools.fps, config)
     poses = follow_prepared(clip.frames, lambda f: seen[f], replace(person, tools=tools), seed=seed)
     error = 1000.0 * np.linalg.norm(poses.landmarks - clip.landmarks, axis=2)
     matched = error[error < EPSILON_MM]

@@ -23,8 +23,8 @@ SCENES = ("walk", "box", "gesture")
 DEV_SESSIONS = ("walk", "reach", "cross", "room")
 VARIANTS: dict[str, tuple[str, ...]] = {
     "default": (),
-    "no_refinement": ("pose.refine=false", "pose.scouts=false"),
-    "no_scouts_no_rescue": ("pose.scouts=false",),
+    "no_refinement": ("pose.refine=false", "pose.look_again=false"),
+    "no_scouts_no_rescue": ("pose.look_again=false",),
     "no_outlines": ("pose.outline_weight=0",),
     "outlines_only": ("pose.surface_weight=0",),
     "no_colours": ("pose.colour_weight=0",),
@@ -71,8 +71,8 @@ def measure(folder: Path, out: Path, settings: tuple[str, ...], seed: int) -> di
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
     from mocap.pipeline.config import load_config
-    from mocap.pipeline.products.poses import motion_of
     from mocap.pipeline.stages.pose import estimate_poses
+    from mocap.pose.result import motion_of
     from mocap.products.tracks import stored_tracks
 
     session, store = open_session(folder), StageStore(out / "store.zarr")

@@ -5,7 +5,7 @@
 Runs the pose stage of the default preset on the first 80 frames of development sessions (with --test of held-out scenes
 instead), prints coverage per session and per kind of landmark, and error and jitter before and after smoothing. Writes
 eval/results/pose_coverage.csv and a reliability diagram, eval/results/pose_coverage.png. With --fit it prints the
-constants `UNCERTAINTY` of mocap/pipeline/estimate.py that make the regions of the development sessions hold what they
+constants `UNCERTAINTY` of mocap/pose/method.py that make the regions of the development sessions hold what they
 should. Poses are kept in WORK/coverage; --again makes them anew.
 """
 
@@ -95,8 +95,8 @@ def _measured(name: str, seed: int, work: Path) -> dict[str, Any]:
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
     from mocap.pipeline.config import load_config
-    from mocap.pipeline.estimate import landmark_misfit
     from mocap.pipeline.stages.pose import estimate_poses
+    from mocap.pose.deviation import landmark_misfit
     from mocap.products.tracks import stored_tracks
 
     folder, out = prepare(name, work, trust_store=True)
@@ -182,7 +182,8 @@ def fit_constants(found: list[Claims]) -> dict[str, tuple[float, float]]:
     from scipy.special import chdtri
 
     from mocap.data import LANDMARKS
-    from mocap.pipeline.estimate import UNCERTAINTY, landmark_kind
+    from mocap.pose.deviation import landmark_kind
+    from mocap.pose.method import UNCERTAINTY
 
     out = {}
     for kind in UNCERTAINTY:
@@ -222,7 +223,8 @@ def by_kind(found: list[Claims]) -> list[str]:
     """Coverage of 90 % regions per kind of landmark, sessions weighing the same, as lines of text."""
     from mocap.data import LANDMARKS
     from mocap.metrics import coverage_scores
-    from mocap.pipeline.estimate import UNCERTAINTY, landmark_kind
+    from mocap.pose.deviation import landmark_kind
+    from mocap.pose.method import UNCERTAINTY
 
     lines = []
     for kind in UNCERTAINTY:
@@ -236,7 +238,7 @@ def by_kind(found: list[Claims]) -> list[str]:
 def by_misfit(found: list[Claims]) -> list[str]:
     """Median error of the arms' and legs' ends in quarters of misfit, from good to bad fits, as lines of text."""
     from mocap.data import LANDMARKS
-    from mocap.pipeline.estimate import landmark_kind
+    from mocap.pose.deviation import landmark_kind
 
     lines = []
     for kind in ("wrist", "ankle"):

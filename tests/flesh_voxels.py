@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mocap.body import Body, LookUpTable, build_look_up_table, cones_of, load_body_model, scale_body
 from mocap.body.flesh import cone_distances
 from mocap.data import VoxelGrid
-from mocap.pipeline.pose_problem import PersonHull
+from mocap.pose.volume import PersonHull
 from mocap.volume import surface_voxels
 
 

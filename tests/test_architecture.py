@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 STAGES = ("foreground", "volume", "tracking", "body", "likelihood", "filters", "metrics")
 # Modules that every package may import.
-EVERYBODYS = ("errors", "threads", "portable", "progress")
+EVERYBODYS = ("errors", "threads", "portable", "progress", "rng")
 # Package of mocap -> packages of mocap that it may import besides itself and these.
 ARROWS: dict[str, frozenset[str]] = {
     **{module: frozenset() for module in EVERYBODYS},
@@ -23,10 +23,11 @@ ARROWS: dict[str, frozenset[str]] = {
     "likelihood": frozenset({"data", "geometry", "body"}),
     "io": frozenset({"data", "geometry"}),
     "view": frozenset({"data", "geometry", "metrics"}),
-    "products": frozenset({"data", "io", "volume"}),
+    "pose": frozenset({"data", "geometry", "body", "likelihood", "filters", "metrics", "volume"}),
+    "products": frozenset({"data", "io", "volume", "body", "pose"}),
     # `mocap eval`; a run is scored by it too.
     "compare": frozenset({"data", "geometry", "io", "metrics", "products", "view"}),
-    "pipeline": frozenset({"data", "geometry", "io", "products", "view", "compare", *STAGES}),
+    "pipeline": frozenset({"data", "geometry", "io", "pose", "products", "view", "compare", *STAGES}),
     # The 2D world on which the sources compare filters, apart from the product's rooms.
     "polygons": frozenset({"data"}),
     # Synthetic sessions with exact truth: of the product's rooms it needs the containers and the file formats.

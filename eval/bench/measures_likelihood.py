@@ -57,7 +57,7 @@ def body_scene() -> BodyScene:
     from mocap.body.flesh import cone_distances
     from mocap.likelihood.residuals import SurfaceFitSettings, hull_surface
     from mocap.likelihood.voxels import VoxelLikelihoodSettings
-    from mocap.pipeline.pose_problem import PersonHull, pack_volume
+    from mocap.pose.volume import PersonHull, pack_volume
     from mocap.volume import surface_voxels
 
     body = scale_body(load_body_model("anthropometric"), _HEIGHT_M)

@@ -144,9 +144,9 @@ def marker_likelihood_over_numpy() -> float:
 def marker_refine_ms() -> float:
     """One refinement on detections as the pose stage calls it: two rounds of matching and fitting."""
     from mocap.pipeline.config import load_config
-    from mocap.pipeline.marker_problem import MarkerTools
+    from mocap.pipeline.pose_settings import marker_tools
 
     s = marker_scene()
     config = load_config()
-    tools = MarkerTools(s.body, s.markers, _FPS, config.pose, config.markers)
+    tools = marker_tools(s.body, s.markers, _FPS, config)
     return _median_s(lambda: tools.fit(s.observation, s.particles[0]), 25) * 1e3

@@ -6,13 +6,17 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Sequence
+from dataclasses import asdict, is_dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mocap.errors import MocapError
+from mocap.pose.method import Method
+
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # of a section, of the method's settings
 
 
 class _Section(BaseModel):
@@ -171,8 +175,9 @@ class PoseConfig(_Section):
     What colours the limbs have is learnt while the person is followed."""
     feedback_share: float = Field(default=0.5, ge=0, lt=1)
     """Share of the particles that take over the refined pose."""
-    scouts: bool = True
-    """Search anew for limbs that fit badly, over their whole range; false = the published filter alone."""
+    look_again: bool = True
+    """Search anew for limbs that fit badly, over their whole range, and for the whole pose where it is lost; false =
+    the published filter alone."""
     repair: bool = True
     """Where a limb jumps, carry it over from the other side while the frames gain by it, after all poses are found."""
     jump_nats: float = Field(default=0.0, ge=0)
@@ -245,6 +250,8 @@ class Config(_Section):
     likelihood: LikelihoodConfig = LikelihoodConfig()
     pose: PoseConfig = PoseConfig()
     markers: MarkersConfig = MarkersConfig()
+    method: Method = Field(default_factory=Method)
+    """Numbers of the pose method that the defaults fix, for experiments."""
     output: OutputConfig = OutputConfig()
 
     def only(self, sections: Sequence[str]) -> Config:
@@ -266,9 +273,9 @@ class Config(_Section):
 _PRESETS = resources.files("mocap") / "presets"
 
 
-def named_files(section: BaseModel) -> list[str]:
+def named_files(section: BaseModel | Method) -> list[str]:
     """Values of the settings of a section that may be paths."""
-    fields = type(section).model_fields
+    fields = type(section).model_fields if isinstance(section, BaseModel) else {}
     return [getattr(section, name) for name in fields if _NAMES_FILE in fields[name].metadata]
 
 
@@ -305,7 +312,7 @@ def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Conf
     except ValidationError as error:
         first = error.errors()[0]
         dotted = ".".join(str(p) for p in first["loc"])
-        what = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].lower()
+        what = "unknown key" if first["type"] in _UNKNOWN else first["msg"].lower()
         keys = [setting.partition("=")[0].strip() for setting in settings]
         is_setting = any(dotted == key or dotted.startswith(key + ".") for key in keys)
         raise MocapError(
@@ -334,16 +341,20 @@ def _apply_setting(values: dict[str, Any], setting: str) -> None:
 
 
 def _allowed_keys(loc: tuple[int | str, ...]) -> str:
-    model: type[BaseModel] = Config
+    section: type = Config
     for part in loc[:-1]:
-        annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
-        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+        inner = get_type_hints(section).get(str(part))
+        if not (isinstance(inner, type) and (issubclass(inner, BaseModel) or is_dataclass(inner))):
             break
-        model = annotation
-    return f"allowed here: {', '.join(model.model_fields)}"
+        section = inner
+    names = section.model_fields if issubclass(section, BaseModel) else vars(section)["__dataclass_fields__"]
+    return f"allowed here: {', '.join(names)}"
 
 
-def config_hash(*sections: BaseModel | str | float | int | None) -> str:
+def config_hash(*sections: BaseModel | Method | str | float | int | None) -> str:
     """A short hash of configuration sections and other plain values."""
-    plain = [s.model_dump(mode="json") if isinstance(s, BaseModel) else s for s in sections]
+    plain = [
+        s.model_dump(mode="json") if isinstance(s, BaseModel) else asdict(s) if is_dataclass(s) else s  # type: ignore[arg-type]
+        for s in sections
+    ]
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:16]

@@ -15,9 +15,10 @@ from mocap.io import formats
 from mocap.io._files import writing
 from mocap.io.formats import voxels
 from mocap.io.store import StageStore
-from mocap.pipeline.products.poses import motion_of, stored_poses
 from mocap.pipeline.tracking import every_frame
+from mocap.pose.result import motion_of
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
+from mocap.products.poses import stored_poses
 from mocap.progress import Progress, no_progress
 
 Frames = tuple[int | None, int | None]

@@ -11,10 +11,10 @@ from mocap.errors import MocapError
 from mocap.io._files import writing
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
-from mocap.pipeline.products.poses import stored_poses
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, record_from_json
 from mocap.pipeline.report_data import write_run_report
 from mocap.pipeline.scene_frames import write_scene
+from mocap.products.poses import stored_poses
 from mocap.products.tracks import stored_tracks
 
 

@@ -16,11 +16,11 @@ from mocap.io._files import atomic_text, writing
 from mocap.io.formats import write_bvh, write_c3d, write_glb, write_trc
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
 from mocap.pipeline.config import Config
-from mocap.pipeline.pose import PersonPoses
-from mocap.pipeline.products.poses import body_files
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import write_scene
 from mocap.pipeline.tracking import every_frame
+from mocap.pose.result import PersonPoses
+from mocap.products.poses import body_files
 from mocap.progress import Progress
 
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from mocap.data import Camera, Hull
 from mocap.io.video import FrameReader
 from mocap.pipeline.config import OutputConfig
-from mocap.pipeline.pose import PersonPoses
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import body_parts, rows_at
+from mocap.pose.result import PersonPoses
 from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products.detections import detections_at

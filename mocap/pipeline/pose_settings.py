@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from mocap.body import load_hierarchy, load_limbs
-from mocap.data import StateLayout
+from mocap.body import Body, load_body_model, load_hierarchy, load_limbs, scale_body
+from mocap.body.markers import Markers, load_marker_set, place_markers
+from mocap.data import StateLayout, VoxelGrid
 from mocap.data.hierarchy import Hierarchy, levels_on, limbs_on
 from mocap.errors import MocapError
 from mocap.filters import FILTERS, FilterBudget
 from mocap.filters.limb_settings import LimbSettings
-from mocap.pipeline.config import PoseConfig
+from mocap.likelihood.voxels import VoxelLikelihoodSettings
+from mocap.pipeline.config import Config, LikelihoodConfig, MarkersConfig, PoseConfig
+from mocap.pose.marker import MarkerTools
+from mocap.pose.method import Method
+from mocap.pose.settings import MarkerSettings, PoseSettings
+from mocap.pose.volume import VolumeTools, volume_tools
 
 # Limits for `pose.limb_evidence = "own"`, chosen on one development scene (decision 16).
 _OWN_OCCUPANCY = 0.15
@@ -83,3 +89,86 @@ def _limbs(pose: PoseConfig, layout: StateLayout) -> LimbSettings:
             limbs, own_data=True, lost_occupancy=_OWN_OCCUPANCY, lost_spread_share=_OWN_SPREAD_SHARE
         )
     return LimbSettings(limbs)
+
+
+def pose_settings(pose: PoseConfig, method: Method, layout: StateLayout) -> PoseSettings:
+    """The method's settings for a body.  Raises MocapError as `filter_budget` does."""
+    return PoseSettings(
+        filter=filter_budget(pose, layout),
+        noise_scale=pose.noise_scale,
+        follow_track=pose.follow_track,
+        surface_sigma_voxels=pose.surface_sigma_voxels,
+        table_density=pose.table_density,
+        refine=pose.refine,
+        surface_weight=pose.surface_weight,
+        outline_weight=pose.outline_weight,
+        posture_nats=pose.posture_nats,
+        colour_weight=pose.colour_weight,
+        feedback_share=pose.feedback_share,
+        look_again=pose.look_again,
+        repair=pose.repair,
+        jump_nats=pose.jump_nats,
+        estimate=pose.estimate,
+        smooth_lag_frames=pose.smooth_lag_frames,
+        n_start_frames=pose.n_start_frames,
+        n_first_poses=pose.n_first_poses,
+        method=method,
+    )
+
+
+def likelihood_settings(config: LikelihoodConfig) -> VoxelLikelihoodSettings:
+    """The voxel likelihood's settings."""
+    return VoxelLikelihoodSettings(
+        variance_out=config.variance_out,
+        variance_double=config.variance_double,
+        variance_empty=config.variance_empty,
+        variance_surface=config.variance_surface,
+        factorised=config.factorised,
+        kind=config.kind,
+        n_points=config.n_points,
+    )
+
+
+def marker_settings(config: MarkersConfig) -> MarkerSettings:
+    """How poses are judged by detections."""
+    return MarkerSettings(
+        gate_px=config.gate_px,
+        reprojection_weight=config.reprojection_weight,
+        sigma=config.sigma,
+        factorised=config.factorised,
+        noise_px=config.noise_px,
+        n_hypotheses=config.n_hypotheses,
+        fit_frames=config.fit_frames,
+        smooth=config.smooth,
+    )
+
+
+def make_tools(
+    grid: VoxelGrid,
+    fps: float,
+    height_m: float,
+    body_model: str,
+    pose: PoseConfig,
+    likelihood: LikelihoodConfig,
+    n_threads: int,
+    method: Method | None = None,
+) -> VolumeTools:
+    """Body, look-up table and settings of one person who is followed in volumes.
+
+    body_model : a preset or a body file.  method : None = the numbers that come with the package.
+    """
+    body = scale_body(load_body_model(body_model), height_m)
+    settings = pose_settings(pose, method or Method(), body.layout)
+    return volume_tools(body, grid, fps, settings, likelihood_settings(likelihood), n_threads)
+
+
+def make_marker_tools(config: Config, fps: float, height_m: float) -> MarkerTools:
+    """Body, markers and settings of one person of some height who wears markers."""
+    body = scale_body(load_body_model(config.body_model("markers")), height_m)
+    return marker_tools(body, place_markers(load_marker_set(config.body.marker_set), body), fps, config)
+
+
+def marker_tools(body: Body, markers: Markers, fps: float, config: Config) -> MarkerTools:
+    """Settings of a body that wears markers."""
+    settings = pose_settings(config.pose, config.method, body.layout)
+    return MarkerTools(body, fps, settings, 1, markers, marker_settings(config.markers))

@@ -14,8 +14,7 @@ from mocap.errors import DISTRIBUTION
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import Config, config_hash
-from mocap.pipeline.pose import PersonPoses
-from mocap.pipeline.products.poses import motion_of
+from mocap.pose.result import PersonPoses, motion_of
 
 # Besides the stages, outputs take time: tables, exports, scene and report.
 OUTPUTS = "report"

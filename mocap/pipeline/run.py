@@ -19,8 +19,6 @@ from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.outputs import write_exports, write_tables
-from mocap.pipeline.products import poses as poses_product
-from mocap.pipeline.products.poses import stored_poses
 from mocap.pipeline.publish import published
 from mocap.pipeline.reach import code_hash
 from mocap.pipeline.record import (
@@ -35,7 +33,9 @@ from mocap.pipeline.record import (
 from mocap.pipeline.report_data import write_run_report
 from mocap.pipeline.stage import Job, Stage, StageReport, is_done, run_stage
 from mocap.portable import peak_memory_mb
+from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
+from mocap.products.poses import stored_poses
 from mocap.products.tracks import stored_tracks
 from mocap.progress import Progress, no_progress
 

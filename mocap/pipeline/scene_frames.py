@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, cones_of
 from mocap.io.video import FrameReader
-from mocap.pipeline.pose import PersonPoses
 from mocap.pipeline.record import Found
+from mocap.pose.result import PersonPoses
 from mocap.products.hulls import read_hulls, stored_grid
 from mocap.view import BodyPart
 from mocap.volume import choose_grid

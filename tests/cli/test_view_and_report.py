@@ -79,7 +79,7 @@ def test_mistakes(made: Path, tmp_path: Path) -> None:
     for change, message in (
         ({"cameras": ["a", "b"]}, "not that of the run: cameras"),
         ({"fps": 12.5}, "not that of the run: fps"),
-        ({"status": "complete until carve"}, "has no poses"),
+        ({"until": "carve"}, "has no poses"),
         ({"config": {**about["config"], "old": 1}}, "settings that this version does not know"),
     ):
         path.write_text(json.dumps({**about, **change}))

@@ -24,8 +24,8 @@ from eval.markers_table_6_3 import (
 from mocap.body.initial import HeightEstimate
 from mocap.likelihood.markers import marker_views
 from mocap.pipeline.config import load_config
-from mocap.pipeline.marker_problem import MarkerTools
-from mocap.pipeline.markers import Prepared
+from mocap.pipeline.pose_settings import marker_tools
+from mocap.pose.marker_person import Prepared
 
 N_FRAMES = 4
 
@@ -47,7 +47,7 @@ def clip() -> Clip:
 def known_person() -> Prepared:
     world = marker_world(12)
     config = load_config("reference_markers")
-    tools = MarkerTools(world.body, world.markers, FPS, config.pose, config.markers)
+    tools = marker_tools(world.body, world.markers, FPS, config)
     return Prepared(tools, 0, world.states[0], "known", HeightEstimate(1.7, True), {}, ())
 
 

@@ -17,7 +17,7 @@ from mocap.filters.ddma import DdmaSettings, DdmaState, ShbmDdmaSettings, ddma_s
 from mocap.filters.limb_settings import LimbSettings
 from mocap.filters.shbm import ShbmSettings, shbm_step
 from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
-from mocap.pipeline.pose_problem import pack_volume
+from mocap.pose.volume import pack_volume
 
 LIMBS = ("right_arm", "left_arm", "right_leg", "left_leg")  # order of the preset
 WITHOUT_SHANK = (1, 1, 1, 2)

@@ -10,7 +10,7 @@ from flesh_voxels import Flesh
 from mocap.body import landmarks_of, neutral_state
 from mocap.filters import FILTERS, FilterBudget, FilterSettings, filter_settings, initial_particles
 from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
-from mocap.pipeline.pose_problem import pack_volume
+from mocap.pose.volume import pack_volume
 
 N_PARTICLES, N_LAYERS = 60, 4
 # Every filter divides its budget into whole particles; what is left over stays unspent.

@@ -12,7 +12,7 @@ from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.scout import ScoutSettings, limbs_of, scout_limbs
 from mocap.likelihood.residuals import SurfaceFitSettings, SurfaceProblem, hull_surface
 from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
-from mocap.pipeline.pose_problem import PersonHull, pack_volume
+from mocap.pose.volume import PersonHull, pack_volume
 
 VOXEL_M = 0.02
 

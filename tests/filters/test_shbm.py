@@ -19,7 +19,7 @@ from mocap.filters.crossing import CROSS_EVERY, CROSSING, N_PARTITIONS, mirror
 from mocap.filters.shbm import ShbmSettings, shbm_step, structural_noise, structural_settings
 from mocap.filters.structural import backward, effective_particles, forward, level_std, particles_per_level
 from mocap.likelihood.voxels import VoxelLikelihoodSettings, VoxelProblem
-from mocap.pipeline.pose_problem import pack_volume
+from mocap.pose.volume import pack_volume
 
 # Five parts, one column each: a trunk, two branches of which one has two more joints.
 PARENTS = (-1, 0, 0, 1, 3)

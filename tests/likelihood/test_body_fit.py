@@ -11,7 +11,7 @@ from mocap.body import neutral_state
 from mocap.filters.refine import RefineSettings, refine
 from mocap.likelihood.residuals import BodyFit, SumProblem, SurfaceFitSettings, SurfaceProblem, hull_surface
 from mocap.likelihood.residuals import _descent_kernels as kernels
-from mocap.pipeline.pose_problem import pack_volume
+from mocap.pose.volume import pack_volume
 
 USUAL_WEIGHT = 1e-5  # m^2 per hull point and nat
 

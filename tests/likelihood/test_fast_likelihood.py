@@ -19,7 +19,7 @@ from mocap.likelihood.voxels import (
 from mocap.likelihood.voxels._fast_kernels import fast_scores_kernel
 from mocap.likelihood.voxels.exact import SURFACE_MAX
 from mocap.likelihood.voxels.fast import _FILLED, _fast_sample, segment_map, spread_sample
-from mocap.pipeline.pose_problem import pack_volume
+from mocap.pose.volume import pack_volume
 
 FIELDS = ("out", "double", "occupied", "surface")
 ALL = 100_000  # more points than any part has: nothing is left out

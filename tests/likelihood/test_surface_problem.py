@@ -10,7 +10,7 @@ from mocap.body import Body, cones_of, joint_transforms, neutral_state
 from mocap.body._kernels import chain_axes
 from mocap.likelihood.residuals import HullSurface, SurfaceFitSettings, SurfaceProblem, hull_surface
 from mocap.likelihood.voxels import PackedVolume
-from mocap.pipeline.pose_problem import PersonHull, pack_volume
+from mocap.pose.volume import PersonHull, pack_volume
 from mocap.volume import surface_voxels
 
 STEP = 1e-6

@@ -23,7 +23,7 @@ from mocap.likelihood.voxels import (
 from mocap.likelihood.voxels import _exact_kernels as _kernels
 from mocap.likelihood.voxels._exact_kernels import part_scores_kernel
 from mocap.likelihood.voxels.exact import SURFACE_MAX, _select, held_body
-from mocap.pipeline.pose_problem import PersonHull, pack_volume
+from mocap.pose.volume import PersonHull, pack_volume
 
 FIELDS = ("out", "double", "occupied", "surface")
 

@@ -1,5 +1,6 @@
 """Configuration and random generators by address."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -7,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import TypeAdapter
 
 from mocap.errors import MocapError
 from mocap.pipeline.config import Config, PoseConfig, config_hash, load_config, presets
-from mocap.pipeline.rng import rng_for
+from mocap.rng import rng_for
 
 
 @pytest.mark.parametrize("name", presets())
@@ -23,7 +25,7 @@ def test_presets_say_what_they_are_for() -> None:
     reference = load_config("reference").pose
     assert (reference.n_layers, reference.n_particles) == (6, 600)  # CF 6.7.2
     assert not reference.refine
-    assert not reference.scouts
+    assert not reference.look_again
     assert load_config("thesis_body").body.model == "thesis"
     assert load_config("realtime").pose.n_particles <= load_config().pose.n_particles
 
@@ -133,11 +135,34 @@ def test_every_key_has_a_docstring_or_a_unit() -> None:
     missing = [
         f"{section}.{name}"
         for section, field in sections.items()
-        for name, inner in field.annotation.model_fields.items()  # type: ignore[union-attr]
+        for name, inner in getattr(field.annotation, "model_fields", {}).items()
         if not inner.description and not name.endswith(("_m", "_deg", "_s"))
     ]
     missing += [n for n, f in Config.model_fields.items() if n not in sections and not f.description]
     assert not [m for m in missing if m not in ("pose.resampling", "output.formats", "output.report_cameras")]
+
+
+def test_every_number_of_the_method_has_a_docstring_and_can_be_set() -> None:
+    config = load_config()
+    for room in dataclasses.fields(config.method):
+        section = getattr(config.method, room.name)
+        words = TypeAdapter(type(section)).json_schema()["properties"]
+        assert [n for n in words if "description" not in words[n]] == [], room.name
+        for field in dataclasses.fields(section):
+            value = getattr(section, field.name)
+            if isinstance(value, float):
+                path = f"method.{room.name}.{field.name}"
+                changed = load_config("default", (f"{path}={value + 1}",)).method
+                assert getattr(getattr(changed, room.name), field.name) == value + 1
+
+
+@pytest.mark.parametrize(
+    "setting", ["method.limb_search.turn=2", "method.limb=2", "method.start.n_copies=two"]
+)
+def test_a_wrong_number_of_the_method_is_refused_by_its_path(setting: str) -> None:
+    with pytest.raises(MocapError, match=setting.partition("=")[0].replace(".", r"\.")) as error:
+        load_config("default", (setting,))
+    assert "allowed here" in (error.value.remedy or "")
 
 
 def test_the_observation_is_set_without_a_section() -> None:

@@ -19,10 +19,12 @@ from mocap.likelihood.markers import marker_views, observe
 from mocap.pipeline.chains import observation_kind
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.keys import stage_keys
-from mocap.pipeline.marker_start import height_from_points, points_of_frames, steady_points
-from mocap.pipeline.markers import flesh_centroids, follow_markers
-from mocap.pipeline.pose import PersonPoses
+from mocap.pipeline.pose_settings import make_marker_tools
 from mocap.pipeline.run import run_session
+from mocap.pose.marker import MarkerTools
+from mocap.pose.marker_person import flesh_centroids, follow_markers
+from mocap.pose.marker_start import height_from_points, points_of_frames, steady_points
+from mocap.pose.result import PersonPoses
 
 SETTINGS = (
     "pose.n_layers=2",
@@ -42,14 +44,17 @@ def config(*more: str, preset: str = "default") -> Config:
     return load_config(preset, (*SETTINGS, *more))
 
 
+def tools_of(height_m: float) -> MarkerTools:
+    return make_marker_tools(config(), FPS, height_m)
+
+
 def follow(world: MarkerWorld, *more: str, seed: int = 0, preset: str = "default") -> PersonPoses | None:
     views = marker_views(world.rig)
     observations = [observe(views, d) for d in world.detections]
     return follow_markers(
         range(len(observations)),
         lambda frame: observations[frame],
-        FPS,
-        config(*more, preset=preset),
+        lambda height_m: make_marker_tools(config(*more, preset=preset), FPS, height_m),
         height_m=None,
         seed=seed,
     )
@@ -109,7 +114,7 @@ def test_empty_frames_are_carried_on_and_flagged() -> None:
     empty = [np.zeros((0, 2))] * len(world.rig)
     gap = range(14, 19)
     observations = [observe(views, empty if i in gap else d) for i, d in enumerate(world.detections)]
-    found = follow_markers(range(N_FRAMES), lambda f: observations[f], FPS, config(), height_m=None, seed=0)
+    found = follow_markers(range(N_FRAMES), lambda f: observations[f], tools_of, height_m=None, seed=0)
     assert found is not None
     assert not found.observed[list(gap)].any()
     assert np.isfinite(found.landmarks).all()
@@ -122,10 +127,10 @@ def test_no_detections_and_pure_noise_are_nobody() -> None:
     world = marker_world(12)
     views = marker_views(world.rig)
     nothing = observe(views, [np.zeros((0, 2))] * len(world.rig))
-    assert follow_markers(range(12), lambda f: nothing, FPS, config(), height_m=None, seed=0) is None
+    assert follow_markers(range(12), lambda f: nothing, tools_of, height_m=None, seed=0) is None
     rng = np.random.default_rng(0)
     noise = [observe(views, [rng.uniform([0, 0], [319, 247], (8, 2)) for _ in world.rig]) for _ in range(12)]
-    assert follow_markers(range(12), lambda f: noise[f], FPS, config(), height_m=None, seed=0) is None
+    assert follow_markers(range(12), lambda f: noise[f], tools_of, height_m=None, seed=0) is None
 
 
 def test_steady_points_are_markers() -> None:
@@ -186,7 +191,7 @@ def test_a_run_on_detections_writes_what_a_run_on_videos_writes(out: Path) -> No
 def test_the_stored_body_is_the_fitted_one(out: Path) -> None:
     from mocap.body import landmarks_of
     from mocap.io.store import StageStore
-    from mocap.pipeline.products.poses import stored_poses
+    from mocap.products.poses import stored_poses
 
     (poses,) = stored_poses(StageStore(out / "store.zarr"))
     np.testing.assert_allclose(landmarks_of(poses.body, poses.states), poses.landmarks, atol=1e-9)

@@ -12,8 +12,8 @@ from mocap.body import load_body_model, scale_body
 from mocap.body.stretch import lengths_of
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
-from mocap.pipeline.products.poses import body_files, stored_poses
 from mocap.pipeline.run import run_session
+from mocap.products.poses import body_files, stored_poses
 
 SETTINGS = (*PLAIN, "output.formats=[]")
 

@@ -15,9 +15,10 @@ from mocap.filters import FILTERS, FilterBudget, FilterInfo, FilterSettings, Par
 from mocap.filters.ddma import DdmaSettings, DdmaState, ShbmDdmaSettings
 from mocap.filters.shbm import ShbmSettings
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig, load_config
-from mocap.pipeline.pose import filter_frames
-from mocap.pipeline.pose_problem import make_tools
-from mocap.pipeline.pose_settings import filter_budget
+from mocap.pipeline.pose_settings import filter_budget, make_tools
+from mocap.pose.follow import follow_pose
+from mocap.pose.person import VolumeClip
+from mocap.pose.volume import VolumeObservation
 
 FLESH = make_flesh("anthropometric", 1.74, 0.04)
 LAYOUT = FLESH.body.layout
@@ -43,7 +44,7 @@ def test_the_preset_is_the_published_run() -> None:
     assert own.hierarchy is not None
     assert own.hierarchy.name == "model2"
     assert not pose.refine
-    assert not pose.scouts
+    assert not pose.look_again
 
 
 def test_budget_follows_the_hierarchy() -> None:
@@ -138,14 +139,13 @@ def test_lost_parts_reach_the_landmarks_and_states_keep_their_kind(
         return DdmaState(np.tile(truth, (7, 1)), np.full(7, 1 / 7), (len(seen),)), info
 
     monkeypatch.setitem(FILTERS, "apf", replace(FILTERS["apf"], step=step))
-    pose = PoseConfig(filter="apf", refine=feeds_back, scouts=False, follow_track=True, outline_weight=0.0)
+    pose = PoseConfig(
+        filter="apf", refine=feeds_back, look_again=False, follow_track=True, outline_weight=0.0
+    )
     tools = make_tools(FLESH.grid, 12.5, 1.74, "anthropometric", pose, LikelihoodConfig(), 1)
     hull = FLESH.hull(truth, margin_m=0.02)
-    found = list(
-        filter_frames(
-            tools, 1, np.arange(4), np.zeros((4, 3)), lambda f: hull, range(4), truth, seed=0, stage="pose"
-        )
-    )
+    clip = VolumeClip(1, np.arange(4), np.zeros((4, 3)), VolumeObservation(tools, lambda f: hull))
+    found = list(follow_pose(clip, range(4), truth, seed=0, stage="pose"))
     ankle = LANDMARKS.index("right_ankle")
     assert [bool(frame.observed[ankle]) for frame in found] == [True, True, False, False]
     assert all(frame.observed[LANDMARKS.index("left_ankle")] for frame in found)

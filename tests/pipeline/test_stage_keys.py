@@ -6,7 +6,7 @@ import ast
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -64,11 +64,27 @@ def settings() -> Iterator[tuple[str, str, str, str]]:
     for kind, chain in CHAINS.items():
         for stage in chain:
             for section in stage.sections:
-                for name in type(getattr(Config(), section)).model_fields:
+                for name in names_of(getattr(Config(), section)):
                     yield kind, stage.name, section, name
 
 
+def names_of(section: Any) -> list[str]:
+    return [f.name for f in fields(section)] if is_dataclass(section) else list(type(section).model_fields)
+
+
+def with_other(section: Any, name: str) -> Any:
+    """A section with another value of one setting."""
+    value = other(getattr(section, name))
+    return (
+        replace(section, **{name: value})
+        if is_dataclass(section)
+        else section.model_copy(update={name: value})
+    )
+
+
 def other(value: Any) -> Any:
+    if is_dataclass(value):
+        return with_other(value, fields(value)[-1].name)
     if isinstance(value, bool):
         return not value
     if isinstance(value, int | float):
@@ -84,7 +100,7 @@ def test_a_setting_changes_the_key_of_its_stage_and_of_those_after(
     session: Session, kind: str, stage: str, section: str, name: str
 ) -> None:
     plain = Config()
-    changed = getattr(plain, section).model_copy(update={name: other(getattr(getattr(plain, section), name))})
+    changed = with_other(getattr(plain, section), name)
     before = stage_keys(session, plain, 0, kind)
     after = stage_keys(session, plain.model_copy(update={section: changed}), 0, kind)
     first = next(s.name for s in CHAINS[kind] if section in s.sections)

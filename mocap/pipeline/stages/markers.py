@@ -9,15 +9,16 @@ import numpy as np
 from mocap.body import load_body_model
 from mocap.data import Tracks
 from mocap.likelihood.markers import MarkerObservation, marker_views, observe
-from mocap.pipeline.markers import flesh_centroids, follow_markers
-from mocap.pipeline.pose import PersonPoses
-from mocap.pipeline.products import poses as poses_product
-from mocap.pipeline.products.poses import store_poses
+from mocap.pipeline.pose_settings import make_marker_tools
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.pipeline.stages.pose import poses_report
+from mocap.pose.marker_person import flesh_centroids, follow_markers
+from mocap.pose.result import PersonPoses
 from mocap.products import detections as detections_product
+from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
 from mocap.products.detections import detections_from_arrays
+from mocap.products.poses import store_poses
 from mocap.products.tracks import stored_tracks, track_row
 
 
@@ -38,12 +39,12 @@ def marker_pose_stage(job: Job) -> None:
     found = follow_markers(
         session.frames,
         observation_of,
-        session.fps,
-        config,
+        lambda height_m: make_marker_tools(config, session.fps, height_m),
         height_m=config.body.height_m
         or load_body_model(config.body_model("markers")).height_m
         or session.person_height_m,
         seed=job.seed,
+        is_fitted=config.body.marker_offsets == "fit",
         progress=lambda done, total: job.progress("pose", done, total),
     )
     tracks = _track_of(found, session.fps)
@@ -79,7 +80,7 @@ MARKER_POSE = Stage(
     work=ClipWork(marker_pose_stage),
     report=marker_pose_report,
     needs=("detect",),
-    sections=("body", "pose", "markers"),
+    sections=("body", "pose", "method", "markers"),
     facts=("fps", "person_height_m"),
     is_random=lambda config: True,
 )

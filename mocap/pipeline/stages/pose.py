@@ -14,17 +14,19 @@ from mocap.io.store import StageStore
 from mocap.likelihood.colours import PixelRays, person_rays
 from mocap.likelihood.residuals import OutlineFitSettings, Outlines, person_outlines, pinhole_view
 from mocap.pipeline.config import Config
-from mocap.pipeline.pose import PersonPoses, estimate_height, follow_person, motion_numbers
-from mocap.pipeline.pose_problem import HullOf, PersonHull, make_tools
-from mocap.pipeline.products import poses as poses_product
-from mocap.pipeline.products.poses import store_poses, stored_poses
+from mocap.pipeline.pose_settings import make_tools
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
+from mocap.pose.person import VolumeClip, follow_person
+from mocap.pose.result import PersonPoses, motion_numbers
+from mocap.pose.volume import HullOf, PersonHull, VolumeObservation, estimate_height
 from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products import owners as owners_product
+from mocap.products import poses as poses_product
 from mocap.products.hulls import pixels_from_arrays, stored_grid
 from mocap.products.masks import masks_from_arrays
 from mocap.products.owners import owners_at
+from mocap.products.poses import store_poses, stored_poses
 from mocap.products.tracks import stored_tracks
 from mocap.progress import Progress
 from mocap.volume import surface_voxels
@@ -87,14 +89,11 @@ def estimate_poses(
             config.pose,
             config.likelihood,
             n_threads,
+            config.method,
         )
         results.append(
             follow_person(
-                person,
-                own.frame,
-                own.xyz,
-                hull_of,
-                tools,
+                VolumeClip(person, own.frame, own.xyz, VolumeObservation(tools, hull_of)),
                 height,
                 seed=seed,
                 is_size_fitted=given is None and config.body.sizing == "poses" and config.pose.refine,
@@ -171,7 +170,7 @@ POSE = Stage(
     work=ClipWork(pose_stage),
     report=poses_report,
     needs=("track",),
-    sections=("body", "likelihood", "pose"),
+    sections=("body", "likelihood", "pose", "method"),
     facts=("fps", "person_height_m"),
     is_random=lambda config: True,
 )

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.errors import MocapError
-from mocap.pipeline.rng import rng_for
 from mocap.pipeline.stage import Ending, FrameWork, Job, Row, Seen, Sources, Stage, StageReport
 from mocap.pipeline.tracking import tracker_input, tracker_settings
 from mocap.products import owners as owners_product
@@ -17,6 +16,7 @@ from mocap.products import tracks as tracks_product
 from mocap.products.hulls import read_hulls, stored_grid
 from mocap.products.owners import owner_row
 from mocap.products.tracks import stored_tracks, track_row
+from mocap.rng import rng_for
 from mocap.tracking import Track, TrackerSettings, TrackerState, slim, track_step, tracks_from_history
 
 

@@ -10,8 +10,9 @@ from mocap.body import body_toml, landmarks_of, load_body_model, model_of, neutr
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, VoxelGrid
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
-from mocap.pipeline.pose import follow_person
-from mocap.pipeline.pose_problem import make_tools
+from mocap.pipeline.pose_settings import make_tools
+from mocap.pose.person import VolumeClip, follow_person
+from mocap.pose.volume import VolumeObservation
 
 DOG = Path(__file__).resolve().parents[2] / "docs" / "examples" / "dog.toml"
 FPS = 15.0
@@ -75,9 +76,8 @@ def test_the_dog_is_followed_on_its_own_voxels() -> None:
     xyz = np.array([grid.centers(h.voxels).mean(axis=0) for h in hulls])
     pose = PoseConfig(n_layers=4, n_particles=120, n_start_frames=1, n_first_poses=4)
     tools = make_tools(grid, FPS, 0.75, str(DOG), pose, LikelihoodConfig(), 1)
-    poses = follow_person(
-        1, np.arange(len(states)), xyz, lambda f: hulls[f], tools, HeightEstimate(0.75, True), seed=3
-    )
+    clip = VolumeClip(1, np.arange(len(states)), xyz, VolumeObservation(tools, lambda f: hulls[f]))
+    poses = follow_person(clip, HeightEstimate(0.75, True), seed=3)
     error = np.linalg.norm(poses.landmarks - landmarks_of(body, states), axis=2)
     assert np.median(error) < MEDIAN_M
     assert error.mean() < MEAN_M

@@ -8,24 +8,21 @@ from marker_world import marching
 from mocap.body import landmarks_of, load_body_model, scale_body
 from mocap.body.average import mean_state
 from mocap.data import LANDMARKS
-from mocap.filters import ParticleState, filter_settings, initial_particles
+from mocap.filters import ParticleState, initial_particles
 from mocap.filters.apf import apf_step
 from mocap.filters.scout import limbs_of
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
-from mocap.pipeline.estimate import (
-    UNCERTAINTY,
-    USUAL_UNEXPLAINED,
+from mocap.pipeline.pose_settings import make_tools
+from mocap.pose.deviation import (
     FrameSeries,
     fit_information,
     landmark_covariances,
     landmark_kind,
-    landmark_parts,
     limb_misfit,
-    point_estimate,
-    smooth_motion,
 )
-from mocap.pipeline.pose_problem import make_tools
-from mocap.pipeline.pose_settings import filter_budget
+from mocap.pose.follow import point_estimate
+from mocap.pose.method import UNCERTAINTY, DeviationSettings, Method
+from mocap.pose.smooth import smooth_motion
 
 BODY = scale_body(load_body_model("anthropometric"), 1.77)
 LAYOUT = BODY.layout
@@ -64,7 +61,7 @@ def second_differences(states: np.ndarray) -> float:
 
 def test_smoothing_takes_the_trembling_and_not_the_motion() -> None:
     truth, shaky = trembling(0.04)
-    smooth = smooth_motion(BODY, series_of(shaky), FPS, 8)
+    smooth = smooth_motion(BODY, series_of(shaky), FPS, 8, Method())
     assert error_m(smooth, truth).mean() < 0.8 * error_m(shaky, truth).mean()
     assert second_differences(smooth) < 0.4 * second_differences(shaky)
     assert np.all(smooth >= LAYOUT.lower)
@@ -73,7 +70,7 @@ def test_smoothing_takes_the_trembling_and_not_the_motion() -> None:
 
 def test_a_motion_without_trembling_stays() -> None:
     truth, _ = trembling(0.0)
-    assert error_m(smooth_motion(BODY, series_of(truth), FPS, 8), truth).max() < 0.004
+    assert error_m(smooth_motion(BODY, series_of(truth), FPS, 8, Method()), truth).max() < 0.004
 
 
 def test_an_arm_that_is_lost_for_two_frames_comes_back() -> None:
@@ -88,7 +85,7 @@ def test_an_arm_that_is_lost_for_two_frames_comes_back() -> None:
     wrist = LANDMARKS.index("left_wrist")
     before = error_m(shaky, truth)[list(lost), wrist].min()
     assert before > 0.2
-    smooth = smooth_motion(BODY, series_of(shaky, misfit=misfit), FPS, 8)
+    smooth = smooth_motion(BODY, series_of(shaky, misfit=misfit), FPS, 8, Method())
     assert error_m(smooth, truth)[list(lost), wrist].max() < 0.25 * before
     assert error_m(smooth, truth)[:, LANDMARKS.index("right_wrist")].max() < 0.03
 
@@ -98,7 +95,7 @@ def test_a_pose_that_was_carried_on_is_bridged() -> None:
     held, blind = truth.copy(), np.zeros(T)
     for k, i in enumerate(range(8, 13)):
         held[i], blind[i] = truth[7], 0.02 + 0.03 * (k + 1)
-    smooth = smooth_motion(BODY, series_of(held, blind_std=blind), FPS, 10)
+    smooth = smooth_motion(BODY, series_of(held, blind_std=blind), FPS, 10, Method())
     gap = slice(8, 13)
     assert error_m(smooth, truth)[gap].mean() < 0.5 * error_m(held, truth)[gap].mean()
 
@@ -113,7 +110,7 @@ def test_uncertainty_is_the_fits_and_the_bodys_and_the_limbs() -> None:
     information[:] = 1e6 * np.eye(LAYOUT.n_columns)
     blind = np.array([0.0, 0.0, 0.05])
     series = series_of(states, misfit=misfit, information=information, blind_std=blind)
-    covariance = landmark_covariances(BODY, series, is_refined=True)
+    covariance = landmark_covariances(BODY, series, DeviationSettings(), is_refined=True)
     assert np.linalg.eigvalsh(covariance).min() > 0
     variance = np.einsum("tlcc->tl", covariance) / 3
     for m, name in enumerate(LANDMARKS):
@@ -127,8 +124,10 @@ def test_uncertainty_is_the_fits_and_the_bodys_and_the_limbs() -> None:
 
 def test_a_hull_that_holds_more_than_the_body_makes_unsure() -> None:
     states = marching(BODY, 4, FPS)
-    shares = np.array([0.0, USUAL_UNEXPLAINED, 0.5, 0.8])
-    covariance = landmark_covariances(BODY, series_of(states, unexplained=shares), is_refined=True)
+    shares = np.array([0.0, DeviationSettings.usual_unexplained, 0.5, 0.8])
+    covariance = landmark_covariances(
+        BODY, series_of(states, unexplained=shares), DeviationSettings(), is_refined=True
+    )
     variance = np.einsum("tlcc->tl", covariance) / 3
     np.testing.assert_array_equal(variance[0], variance[1])
     assert np.sqrt(variance[2] - variance[0]).min() > 0.1
@@ -139,27 +138,29 @@ def test_without_refinement_the_particles_spread_counts() -> None:
     spread = np.zeros((2, len(LANDMARKS), 3, 3))
     spread[:] = np.diag([1e-4, 4e-4, 9e-4])
     states = marching(BODY, 2, FPS)
-    with_spread = landmark_covariances(BODY, series_of(states, spread=spread), is_refined=False)
-    without = landmark_covariances(BODY, series_of(states), is_refined=False)
+    with_spread = landmark_covariances(
+        BODY, series_of(states, spread=spread), DeviationSettings(), is_refined=False
+    )
+    without = landmark_covariances(BODY, series_of(states), DeviationSettings(), is_refined=False)
     np.testing.assert_allclose(with_spread - without, spread)
 
 
 def test_the_worse_the_fit_the_less_it_knows() -> None:
     H = np.diag(np.arange(1.0, 6.0))
-    good, bad = fit_information(0.01, H, 100), fit_information(0.04, H, 100)
+    good, bad = fit_information(0.01, H, 100, 2.5), fit_information(0.04, H, 100, 2.5)
     np.testing.assert_allclose(good, 4 * bad)
-    np.testing.assert_allclose(fit_information(0.02, 2 * H, 200), 2 * good)
-    np.testing.assert_array_equal(fit_information(0.0, H, 100), 0 * H)
+    np.testing.assert_allclose(fit_information(0.02, 2 * H, 200, 2.5), 2 * good)
+    np.testing.assert_array_equal(fit_information(0.0, H, 100, 2.5), 0 * H)
 
 
 def test_the_misfit_of_a_limb_is_its_worst_parts() -> None:
     misfit = np.arange(LAYOUT.n_parts, dtype=np.float64)[None] / 2
-    limbs = limb_misfit(LAYOUT, misfit)[0]
+    limbs = limb_misfit(LAYOUT, misfit, DeviationSettings.most_misfit_nats)[0]
     for limb in limbs_of(LAYOUT):
         np.testing.assert_array_equal(limbs[limb], misfit[0, limb].max())
     assert limbs[0] == misfit[0, 0]
-    assert limb_misfit(LAYOUT, 1e6 * misfit).max() < 100
-    parts = landmark_parts(BODY)
+    assert limb_misfit(LAYOUT, 1e6 * misfit, DeviationSettings.most_misfit_nats).max() < 100
+    parts = BODY.landmark_parts
     assert LAYOUT.parts[parts[LANDMARKS.index("left_wrist")]] == "left_forearm"
     assert LAYOUT.parts[parts[LANDMARKS.index("pelvis")]] == "torso"
 
@@ -171,7 +172,7 @@ def test_point_estimates_of_a_filters_particles(kind: str) -> None:
     pose = PoseConfig(n_layers=3, n_particles=80, estimate=kind)  # type: ignore[arg-type]
     tools = make_tools(flesh.grid, FPS, 1.74, "anthropometric", pose, LikelihoodConfig(), 1)
     problem = tools.frame(flesh.hull(truth)).voxels
-    settings = filter_settings(filter_budget(pose, LAYOUT), LAYOUT, tools.noise_std)
+    settings = tools.filter_settings()
     start = initial_particles(problem, truth, 80)
     particles, info = apf_step(problem, start, settings, rng=np.random.default_rng(1))
     found = point_estimate(flesh.body, particles, info, kind)

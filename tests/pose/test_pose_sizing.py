@@ -10,10 +10,11 @@ from marker_world import marching
 from mocap.body import landmarks_of, neutral_state
 from mocap.body.initial import HeightEstimate
 from mocap.body.stretch import lengths_of, resize_body, stretch_body
-from mocap.pipeline import pose
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
-from mocap.pipeline.pose_problem import PersonHull, PoseTools, make_tools
-from mocap.pipeline.sizing import _lowest, fit_size, resized_tools
+from mocap.pipeline.pose_settings import make_tools
+from mocap.pose import person
+from mocap.pose.size import _lowest, fit_size
+from mocap.pose.volume import PersonHull, VolumeObservation, VolumeTools
 from mocap.volume import surface_voxels
 
 HEIGHT_M = 1.7
@@ -21,7 +22,7 @@ VOXEL_M = 0.03
 FLESH = make_flesh("anthropometric", HEIGHT_M, VOXEL_M)
 
 
-def tools() -> PoseTools:
+def tools() -> VolumeTools:
     return make_tools(
         FLESH.grid, 12.5, HEIGHT_M, "anthropometric", PoseConfig(outline_weight=0), LikelihoodConfig(), 1
     )
@@ -35,7 +36,7 @@ def test_the_lowest_place_of_a_parabola_is_found(where: float) -> None:
         asked.append(x)
         return 3.0 + 40.0 * (x - where) ** 2
 
-    found, value = _lowest(cost, 0.0, 0.03)
+    found, value = _lowest(cost, 0.0, 0.03, furthest=5)
     assert found == pytest.approx(where, abs=1e-9)
     assert value <= 3.0 + 40.0 * 0.015**2 + 1e-9
     assert len(asked) == len(set(asked))
@@ -45,7 +46,7 @@ def test_the_lowest_place_of_a_parabola_is_found(where: float) -> None:
 def test_the_search_ends(slope: float) -> None:
     found, _ = _lowest(lambda x: slope * x, 1.0, 0.03, furthest=4)
     assert found == pytest.approx(1.0 - slope * 0.12)
-    flat, _ = _lowest(lambda x: 2.0, 0.5, 0.03)
+    flat, _ = _lowest(lambda x: 2.0, 0.5, 0.03, furthest=5)
     assert abs(flat - 0.5) <= 0.15
 
 
@@ -98,7 +99,7 @@ def test_a_larger_person_is_found_larger_whatever_his_girth(factor: float, girth
     assert fit.factor == pytest.approx(factor, abs=SLACK)
     assert fit.girth == pytest.approx(girth, abs=GIRTH_SLACK)
     assert fit.n_frames == 4
-    assert resized_tools(tools(), fit.factor).body.height_m == pytest.approx(fit.factor * HEIGHT_M)
+    assert tools().resized(fit.factor).body.height_m == pytest.approx(fit.factor * HEIGHT_M)
 
 
 @pytest.mark.slow
@@ -123,12 +124,11 @@ def test_no_size_is_fitted_to_a_volume_that_holds_more_than_the_person(
     """A larger body would explain the furniture as well."""
     fitted = []
 
-    def sized(t: PoseTools, *arguments: object, **_: object) -> tuple[object, ...]:
-        fitted.append(t)
-        *_, height, first = arguments
-        return t, height, first
+    def sized(clip: person.VolumeClip, height: object, first: object, *, seed: int) -> tuple[object, ...]:
+        fitted.append(clip)
+        return clip.observation.tools, height, first
 
-    monkeypatch.setattr(pose, "_sized", sized)
+    monkeypatch.setattr(person, "_sized", sized)
     state = neutral_state(FLESH.body)
     state[2] += 0.05
     hull = rasterise(FLESH.body, FLESH.grid, state, margin_m=VOXEL_M)
@@ -139,9 +139,10 @@ def test_no_size_is_fitted_to_a_volume_that_holds_more_than_the_person(
         )
         voxels = np.union1d(hull.voxels, FLESH.grid.linear(subs)).astype(np.int32)
         hull = PersonHull(voxels, surface_voxels(voxels, FLESH.grid))
-    quick = PoseConfig(n_start_frames=1, n_first_poses=1, n_layers=2, n_particles=40, scouts=False)
+    quick = PoseConfig(n_start_frames=1, n_first_poses=1, n_layers=2, n_particles=40, look_again=False)
     t = make_tools(FLESH.grid, 12.5, HEIGHT_M, "anthropometric", quick, LikelihoodConfig(), 1)
-    frames, xyz = np.arange(2), np.tile(state[:3], (2, 1))
+    observation = VolumeObservation(t, lambda _: hull)
+    clip = person.VolumeClip(1, np.arange(2), np.tile(state[:3], (2, 1)), observation)
     height = HeightEstimate(HEIGHT_M, is_measured=True)
-    pose.start_person(1, frames, xyz, lambda _: hull, t, height, seed=0, is_size_fitted=True)
+    person.start_person(clip, height, seed=0, is_size_fitted=True)
     assert bool(fitted) is not with_cupboard

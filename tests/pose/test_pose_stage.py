@@ -11,19 +11,17 @@ from mocap.body import landmarks_of, neutral_state
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
-from mocap.pipeline.pose import (
-    PersonPoses,
-    _seldom_observed,
-    estimate_height,
-    filter_frames,
-    follow_person,
-)
-from mocap.pipeline.pose_problem import (
-    CROP_MARGIN_M,
+from mocap.pipeline.pose_settings import likelihood_settings, make_tools
+from mocap.pose.follow import follow_pose
+from mocap.pose.method import EvidenceSettings
+from mocap.pose.person import VolumeClip, follow_person
+from mocap.pose.result import PersonPoses, _seldom_observed
+from mocap.pose.volume import (
+    HullOf,
     PersonHull,
-    PoseTools,
-    likelihood_settings,
-    make_tools,
+    VolumeObservation,
+    VolumeTools,
+    estimate_height,
     pack_volume,
 )
 
@@ -58,8 +56,11 @@ class Walk:
     def sometimes_hidden(self, frame: int) -> PersonHull | None:
         return None if frame - 100 in HIDDEN else self.hulls[frame - 100]
 
-    def tools(self, pose: PoseConfig = SMALL) -> PoseTools:
+    def tools(self, pose: PoseConfig = SMALL) -> VolumeTools:
         return make_tools(self.flesh.grid, FPS, 1.74, "anthropometric", pose, LikelihoodConfig(), 1)
+
+    def clip(self, tools: VolumeTools, hull_of: HullOf | None = None, person: int = 1) -> VolumeClip:
+        return VolumeClip(person, self.frames, self.xyz, VolumeObservation(tools, hull_of or self.hull_of))
 
 
 @lru_cache(maxsize=1)
@@ -99,9 +100,8 @@ SEEDS = (0, 2)
 def followed(seed: int) -> PersonPoses:
     """The walk with three frames without a hull, from no first pose, at a height that could not be read."""
     w = walk()
-    return follow_person(
-        1, w.frames, w.xyz, w.sometimes_hidden, w.tools(), HeightEstimate(1.74, is_measured=False), seed=seed
-    )
+    clip = w.clip(w.tools(), w.sometimes_hidden)
+    return follow_person(clip, HeightEstimate(1.74, is_measured=False), seed=seed)
 
 
 SEEN = np.delete(np.arange(N_FRAMES), HIDDEN)
@@ -166,9 +166,7 @@ def test_results_are_complete_and_consistent() -> None:
 def some_frames(pose: PoseConfig, *, n_threads: int = 1, seed: int = 4) -> list[np.ndarray]:
     w = walk()
     tools = replace(w.tools(pose), n_threads=n_threads)
-    found = filter_frames(
-        tools, 1, w.frames, w.xyz, w.hull_of, range(5), w.states[0], seed=seed, stage="pose"
-    )
+    found = follow_pose(w.clip(tools), range(5), w.states[0], seed=seed, stage="pose")
     return [f.landmarks for f in found]
 
 
@@ -181,8 +179,8 @@ def test_the_same_seed_gives_the_same_poses_on_any_number_of_threads() -> None:
 
 @pytest.mark.parametrize("name", ["apf", "sir"])
 def test_the_published_filter_alone_follows_too(name: str) -> None:
-    """No refinement, no scouts: coarser, but with the body (means at most 139 and 147 mm over 10 seeds)."""
-    pose = PoseConfig(filter=name, n_layers=6, n_particles=150, refine=False, scouts=False)
+    """No refinement, no limb search: coarser, but with the body (means at most 139 and 147 mm over 10 seeds)."""
+    pose = PoseConfig(filter=name, n_layers=6, n_particles=150, refine=False, look_again=False)
     error = np.linalg.norm(np.array(some_frames(pose)) - walk().truth[:5], axis=2)
     assert error.mean() < 0.2
 
@@ -210,7 +208,7 @@ def test_no_usable_hull_is_an_error() -> None:
     tiny = PersonHull(w.hulls[0].voxels[:50], w.hulls[0].is_surface[:50])
     for hull_of in (lambda frame: None, lambda frame: tiny):
         with pytest.raises(ValueError, match="person 3 has no frame with a usable hull"):
-            follow_person(3, w.frames, w.xyz, hull_of, w.tools(), HeightEstimate(1.74, True), seed=0)
+            follow_person(w.clip(w.tools(), hull_of, person=3), HeightEstimate(1.74, True), seed=0)
 
 
 def test_packed_volume_holds_the_hull_with_room_around() -> None:
@@ -223,7 +221,9 @@ def test_packed_volume_holds_the_hull_with_room_around() -> None:
     rim[1:-1, 1:-1, 1:-1] = 0
     assert not rim.any()
     top = grid.subscripts(hull.voxels).max(axis=0)
-    assert np.all(volume.lower_subscript + volume.crop.shape - 1 - top >= CROP_MARGIN_M / VOXEL_M - 1)
+    assert np.all(
+        volume.lower_subscript + volume.crop.shape - 1 - top >= EvidenceSettings.crop_margin_m / VOXEL_M - 1
+    )
 
 
 def test_likelihood_settings_are_the_configuration() -> None:

@@ -16,23 +16,10 @@ from mocap.body import body_toml, model_of, scale_body
 from mocap.body.initial import HeightEstimate
 from mocap.body.model import load_body_model, parse_body_model
 from mocap.body.stretch import lengths_of, with_lengths
-from mocap.data import Motion
 from mocap.io.store import StageStore
-from mocap.pipeline.pose import PersonPoses
+from mocap.pose.result import PersonPoses
 
 PRODUCT = "pose"
-
-
-def motion_of(poses: PersonPoses, fps: float) -> Motion:
-    """The landmarks of one person with their standard deviations."""
-    return Motion(
-        person=poses.person,
-        frames=poses.frames,
-        time_s=poses.frames / fps,
-        landmarks=poses.landmarks,
-        std=np.sqrt(np.diagonal(poses.landmark_covariance, axis1=2, axis2=3)),
-        observed=poses.observed,
-    )
 
 
 def store_poses(store: StageStore, key: str, body_model: str, results: list[PersonPoses]) -> None:

@@ -19,9 +19,11 @@ from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate
 from mocap.io.tables import read_landmarks_csv
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig, load_config
-from mocap.pipeline.pose import PersonPoses, follow_person
-from mocap.pipeline.pose_problem import PersonHull, make_tools
+from mocap.pipeline.pose_settings import make_tools
 from mocap.pipeline.run import run_session
+from mocap.pose.person import VolumeClip, follow_person
+from mocap.pose.result import PersonPoses
+from mocap.pose.volume import PersonHull, VolumeObservation
 from mocap.volume import surface_voxels
 
 FPS = 12.5
@@ -58,16 +60,8 @@ def followed(
     hull_of: Callable[[int], PersonHull | None], n: int, xyz: np.ndarray, *, is_size_fitted: bool = False
 ) -> PersonPoses:
     tools = make_tools(flesh().grid, FPS, HEIGHT_M, "anthropometric", POSE, LikelihoodConfig(), 1)
-    return follow_person(
-        1,
-        np.arange(n),
-        xyz,
-        hull_of,
-        tools,
-        HeightEstimate(HEIGHT_M, True),
-        seed=SEED,
-        is_size_fitted=is_size_fitted,
-    )
+    clip = VolumeClip(1, np.arange(n), xyz, VolumeObservation(tools, hull_of))
+    return follow_person(clip, HeightEstimate(HEIGHT_M, True), seed=SEED, is_size_fitted=is_size_fitted)
 
 
 def centres(found: list[PersonHull | None]) -> np.ndarray:
@@ -241,16 +235,10 @@ def test_size_is_fitted_to_a_person_who_never_stands_upright() -> None:
     states = np.clip(states, flesh().body.layout.lower, flesh().body.layout.upper)
     found = [flesh().hull(s, margin_m=0.5 * VOXEL_M) for s in states]
     tools = make_tools(flesh().grid, FPS, 0.93 * HEIGHT_M, "anthropometric", POSE, LikelihoodConfig(), 1)
-    poses = follow_person(
-        1,
-        np.arange(len(states)),
-        centres(list(found)),
-        lambda f: found[f],
-        tools,
-        HeightEstimate(0.93 * HEIGHT_M, True),
-        seed=SEED,
-        is_size_fitted=True,
-    )
+    observation = VolumeObservation(tools, lambda f: found[f])
+    clip = VolumeClip(1, np.arange(len(states)), centres(list(found)), observation)
+    height = HeightEstimate(0.93 * HEIGHT_M, True)
+    poses = follow_person(clip, height, seed=SEED, is_size_fitted=True)
     assert poses.height.height_m == poses.body.height_m
     assert abs(poses.height.height_m - HEIGHT_M) < 0.5 * 0.07 * HEIGHT_M
     assert replace(poses, warnings=()).person == 1
@@ -267,8 +255,7 @@ def test_frames_without_a_track_count_as_absence() -> None:
     found = hulls(states)
     tools = make_tools(flesh().grid, FPS, HEIGHT_M, "anthropometric", POSE, LikelihoodConfig(), 1)
     xyz = np.array([flesh().grid.centers(h.voxels).mean(axis=0) for h in found])
-    poses = follow_person(
-        1, frames, xyz, lambda f: found[row_of[f]], tools, HeightEstimate(HEIGHT_M, True), seed=SEED
-    )
+    clip = VolumeClip(1, frames, xyz, VolumeObservation(tools, lambda f: found[row_of[f]]))
+    poses = follow_person(clip, HeightEstimate(HEIGHT_M, True), seed=SEED)
     assert_nothing_unflagged(poses)
     assert np.median(judged(poses, states).error_m[-5:]) < 0.05

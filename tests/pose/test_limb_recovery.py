@@ -8,28 +8,30 @@ from flesh_voxels import Flesh
 
 from mocap.body import landmarks_of, neutral_state
 from mocap.data import LANDMARKS
+from mocap.data.problem import limbs_of
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
-from mocap.pipeline.limbs import Lookout, first_parts, jump_nats, limb_misfits
-from mocap.pipeline.pose_problem import PoseTools, make_tools
+from mocap.pipeline.pose_settings import make_tools
+from mocap.pose.limb_search import LimbSchedule, first_parts, jump_nats
+from mocap.pose.volume import VolumeTools
 
 FPS = 30.0
 NATS = 3.0
 
 
 @pytest.fixture(scope="module")
-def tools(coarse_flesh: Flesh) -> PoseTools:
+def tools(coarse_flesh: Flesh) -> VolumeTools:
     pose = PoseConfig(jump_nats=NATS)
     return make_tools(coarse_flesh.grid, FPS, 1.7, "anthropometric", pose, LikelihoodConfig(), 1)
 
 
-def raised(tools: PoseTools, rad: float) -> np.ndarray:
+def raised(tools: VolumeTools, rad: float) -> np.ndarray:
     """The neutral pose with the left arm swung about its shoulder."""
     state = neutral_state(tools.body)
     state[tools.body.layout.names.index("left_shoulder_x")] += rad
     return state
 
 
-def test_what_people_can_do_in_a_frame_is_free(tools: PoseTools) -> None:
+def test_what_people_can_do_in_a_frame_is_free(tools: VolumeTools) -> None:
     before, after = neutral_state(tools.body), raised(tools, 0.2)
     wrist = LANDMARKS.index("left_wrist")
     moved = landmarks_of(tools.body, np.stack([before, after]))[:, wrist]
@@ -37,24 +39,24 @@ def test_what_people_can_do_in_a_frame_is_free(tools: PoseTools) -> None:
     assert jump_nats(tools, [before, after], before).tolist() == [0.0, 0.0]
 
 
-def test_a_limb_thrown_across_the_body_costs_at_most_its_landmarks(tools: PoseTools) -> None:
+def test_a_limb_thrown_across_the_body_costs_at_most_its_landmarks(tools: VolumeTools) -> None:
     before = neutral_state(tools.body)
     cost = jump_nats(tools, [raised(tools, 0.5), raised(tools, 2.5)], before)
     assert 0 < cost[0] < cost[1]
     assert cost[1] == pytest.approx(2 * NATS)  # elbow and wrist, whole
 
 
-def test_a_person_carried_off_costs_all_landmarks(tools: PoseTools) -> None:
+def test_a_person_carried_off_costs_all_landmarks(tools: VolumeTools) -> None:
     before = neutral_state(tools.body)
     away = before.copy()
     away[0] += 5.0
     assert jump_nats(tools, [away], before)[0] == pytest.approx(NATS * len(LANDMARKS))
 
 
-def test_without_an_earlier_pose_or_with_no_cost_jumps_are_free(tools: PoseTools) -> None:
+def test_without_an_earlier_pose_or_with_no_cost_jumps_are_free(tools: VolumeTools) -> None:
     before, after = neutral_state(tools.body), raised(tools, 2.5)
     assert jump_nats(tools, [after], None)[0] == 0.0
-    free = replace(tools, pose=tools.pose.model_copy(update={"jump_nats": 0.0}))
+    free = replace(tools, settings=replace(tools.settings, jump_nats=0.0))
     assert jump_nats(free, [after], before)[0] == 0.0
 
 
@@ -63,10 +65,10 @@ FITS = {1: 1.0, 2: 1.0, 4: 1.0}
 
 def looks(values: list[float], misfit: dict[int, float] = FITS, gain: float = 0.0) -> list[tuple[int, ...]]:
     """What is looked at in frames of some evidence, when every search gains so much."""
-    lookout, found = Lookout(), []
+    schedule, found = LimbSchedule(), []
     for value in values:
-        due = lookout.due(value, misfit)
-        lookout.note(gain if due else 0.0, due)
+        due = schedule.due(value, misfit)
+        schedule.note(gain if due else 0.0, due)
         found.append(due)
     return found
 
@@ -104,11 +106,20 @@ def test_what_was_found_is_looked_at_again_at_once() -> None:
     assert all(len(due) == 1 for due in seen)
 
 
-def test_a_global_likelihood_has_no_limbs_to_look_at(tools: PoseTools) -> None:
+def test_a_limb_fits_as_badly_as_its_worst_part(tools: VolumeTools, coarse_flesh: Flesh) -> None:
     layout = tools.body.layout
-    assert limb_misfits(layout, np.array([-3.0])) == {}
+    evidence = tools.frame(coarse_flesh.hull(neutral_state(tools.body), margin_m=0.02))
+    state = raised(tools, 1.0)
+    per_part = evidence.voxels.log_likelihood(state[None])[0]
+    misfits = evidence.limb_misfits(state)
+    assert tuple(misfits) == first_parts(layout)
+    for limb in limbs_of(layout):
+        assert misfits[limb[0]] == pytest.approx(max(-per_part[limb].min(), 0.0))
+    assert max(misfits, key=lambda part: misfits[part]) == layout.parts.index("left_upper_arm")
+
+
+def test_a_global_likelihood_has_no_limbs_to_look_at(tools: VolumeTools, coarse_flesh: Flesh) -> None:
+    whole = replace(tools, likelihood=replace(tools.likelihood, factorised=False))
+    evidence = whole.frame(coarse_flesh.hull(neutral_state(tools.body), margin_m=0.02))
+    assert evidence.limb_misfits(neutral_state(tools.body)) == {}
     assert looks([100.0, 50.0], {}) == [(), ()]
-    per_part = -np.arange(layout.n_parts, dtype=np.float64)
-    misfit = limb_misfits(layout, per_part)
-    assert tuple(misfit) == first_parts(layout)
-    assert misfit[2] == 3.0  # of the forearm, the limb's worse half

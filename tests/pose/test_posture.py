@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocap.body import Body, load_body_model, neutral_state, scale_body
-from mocap.pipeline.posture import usual_posture
+from mocap.pose.posture import usual_posture
 
 
 @pytest.fixture(params=["anthropometric", "girdle", "thesis"])

@@ -1,0 +1,453 @@
+"""Numbers of the pose method: every constant that decides a pose, named, with its unit and its reason.
+
+The configuration holds them as its section `[method]`: the defaults fix them, an experiment may change them, as in
+`--set method.limb_search.turn_frames=2`, and run.json keeps them. Numbers without another word were chosen on
+development scenes with `python -m eval.pose_sessions`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+
+class _Strict:
+    """Settings that a configuration may hold: unknown keys are refused there."""
+
+    __pydantic_config__: ClassVar[Mapping[str, str | bool]] = {
+        "extra": "forbid",
+        "use_attribute_docstrings": True,
+    }
+
+
+@dataclass(frozen=True)
+class EvidenceSettings(_Strict):
+    """What a pose is judged by in one frame of volumes."""
+
+    crop_margin_m: float = 0.3
+    """How far beyond the hull particles may meet themselves."""
+    min_voxels: int = 200
+    """Fewer (1.6 litres at 2 cm) are no body: the pose is carried on instead."""
+    nats_per_m2: float = 90_000.0
+    """Evidence per square metre of mean surface cost: the lost arm of a person, a tenth of the surface, is worth about
+    7 nats."""
+    refine_std_m: float = 0.1
+    """How far the root may be expected to move in a refinement."""
+    refine_std_rad: float = 0.5
+    """How far a joint may be expected to turn in a refinement."""
+    refine_iterations: int = 12
+    """Most iterations of a refinement."""
+    coarse_hull_points: int = 400
+    """Points of the hull in the brief attempts of a start."""
+    coarse_flesh_points: int = 150
+    """Points of the body in the brief attempts of a start."""
+    observed_occupancy: float = 0.5
+    """Share of a part's flesh in occupied voxels from which its landmarks count as observed."""
+    colour_max_double: float = 0.15
+    """A part that overlaps others by a larger share teaches no colours."""
+    colour_min_occupancy: float = 0.6
+    """A part that lies in the hull by a smaller share teaches no colours."""
+    unexplained_m: float = 0.05
+    """A point of the hull further than this from the body is not explained by it."""
+
+
+@dataclass(frozen=True)
+class StartSettings(_Strict):
+    """The first pose of a person: many kinds of poses in all directions, the promising ones followed."""
+
+    window_s: float = 2.0
+    """Seconds from the first usable frame in which the first pose is looked for."""
+    n_directions: int = 16
+    """Directions that each kind of pose is tried in."""
+    n_copies: int = 8
+    """Particles around each candidate; its value is that of the best."""
+    search_std_m: float = 0.06
+    """Noise of the root around each candidate."""
+    search_std_rad: float = 0.2
+    """Noise of the angles around each candidate."""
+    brief_factor: int = 4
+    """Candidates followed briefly, per candidate that is followed to the end (`pose.n_first_poses`)."""
+    brief_layers: int = 4
+    """Annealing layers of a brief attempt."""
+    brief_particles: int = 80
+    """Particles of a brief attempt."""
+    brief_survival_rate: float = 0.5
+    """Survival rate of a brief attempt."""
+    brief_iterations: int = 5
+    """Of the refinement after a brief attempt."""
+    thorough_layers: int = 8
+    """Annealing layers of an attempt to the end."""
+    thorough_particles: int = 200
+    """Its particles."""
+    thorough_survival_rate: float = 0.6
+    """Its survival rate."""
+    thorough_iterations: int = 12
+    """Of the refinement after it."""
+    n_opposite: int = 3
+    """Candidates that face against the best one and are followed too: a person from behind has the silhouette of one
+    from the front."""
+    n_searched: int = 3
+    """Settled poses whose limbs are searched for."""
+    max_limbs: int = 4
+    """Limbs searched for in each of them."""
+    facing_nats: float = 8.0
+    """Cost of facing against the direction of walking; CF 6.3.3 takes that direction as a certainty."""
+    walking_m_s: float = 0.3
+    """A slower person does not say by his path which way he faces."""
+    walking_window_s: float = 0.25
+    """How far each way the velocity is read from the track."""
+    trial_s: float = 3.0
+    """How far each way two starting hypotheses are followed to compare them."""
+    trial_stride_frames: int = 3
+    """Between frames of that comparison."""
+    trial_layers: int = 4
+    """Annealing layers of the filter that follows them."""
+    trial_particles: int = 200
+    """Its particles."""
+    decisive_nats: float = 25.0
+    """One frame decides alone when its two hypotheses are this far apart."""
+    clear_facing_nats: float = 3.0
+    """Hypotheses that end nearer to each other than this leave the facing open: a warning says so."""
+    short_frames: int = 10
+    """A clip with fewer usable frames is too short to compare hypotheses over time."""
+    short_factor: int = 3
+    """Factor on `pose.n_first_poses` there: no motion will tell front from back."""
+    crowded_share: float = 0.4
+    """Share of a hull's surface that the body leaves unexplained, from which it holds much else than the person."""
+    crowded_outline_weight: float = 1.0
+    """Largest weight of outlines there: a chair's outlines are not the person's."""
+    height_frames: int = 60
+    """Frames, spread over the clip, that the standing height is read from."""
+
+
+@dataclass(frozen=True)
+class FollowSettings(_Strict):
+    """Following one pose from frame to frame."""
+
+    blind_std_m: float = 0.02
+    """What a landmark may be off at once where nothing is seen; it grows with every frame by the filter's noise."""
+    gone_s: float = 0.4
+    """Without a volume for so long, a pose is looked for anew when the person comes back."""
+    max_limbs: int = 2
+    """Limbs searched for in one frame, those that promise most."""
+
+
+@dataclass(frozen=True)
+class LimbSearchSettings(_Strict):
+    """When a limb counts as lost or doubtful, and how it is searched for over its whole range."""
+
+    unexplained_share: float = 0.025
+    """Share of the hull's surface points that must be unexplained before they count: loose clothes reach 0.01, a lost
+    forearm 0.04."""
+    zeal: float = 4.0
+    """Factor on what an unexplained point is worth in the search; what is found is judged by the evidence itself."""
+    n_lost_points: int = 24
+    """Unexplained points that are looked at."""
+    pixel_stride: int = 4
+    """Every so many pixels' colours are looked at in the search."""
+    n_alternatives: int = 6
+    """Other poses of a searched limb that are refined and judged."""
+    alternative_iterations: int = 6
+    """Of the refinement of each."""
+    turn_frames: int = 4
+    """Frames between searches for single limbs."""
+    longest_pause_frames: int = 8
+    """Longest pause between searches for all limbs while they find nothing."""
+    least_misfit_nats: float = 0.5
+    """A limb that fits better counts as if it fitted this badly when the next one is chosen."""
+    look_again_frames: int = 10
+    """Age that a limb gets which was found: it is looked at again at once, it seldom is right at first."""
+    fallen_nats: float = 6.0
+    """Evidence so far below the usual has fallen: all limbs are searched for."""
+    find_nats: float = 1.0
+    """A smaller gain is no find."""
+    usual_rate: float = 0.2
+    """Rate of the running mean of the usual evidence, per frame."""
+    free_speed_m_s: float = 4.0
+    """A landmark may move so fast without cost (`pose.jump_nats`)."""
+    jump_m: float = 0.25
+    """A jump by this much beyond the free speed costs all that a jump can cost."""
+
+
+@dataclass(frozen=True)
+class RestartSettings(_Strict):
+    """When a whole pose counts as lost, and how a new one is found."""
+
+    lost_nats: float = 12.0
+    """Evidence so far below what this person's poses usually reach: the pose is lost."""
+    margin_nats: float = 4.0
+    """A new pose must be better than the lost one by this much."""
+    after_frames: int = 8
+    """Frames before anything is usual."""
+    memory_frames: int = 90
+    """Frames that tell what is usual."""
+    usual_quantile: float = 0.6
+    """Quantile of the remembered evidence that counts as usual."""
+    shortest_pause_frames: int = 2
+    """Pause after a restart that helped."""
+    longest_pause_frames: int = 32
+    """A failed restart doubles the pause before the next."""
+    facing_cosine: float = 0.5
+    """A lost pose that faces further off the direction of walking is turned into it."""
+    std_factor: float = 0.5
+    """Factor on the start's search noise: where the person is and faces is known."""
+    brief_layers: int = 4
+    """Annealing layers of a brief attempt."""
+    brief_particles: int = 80
+    """Particles of a brief attempt."""
+    brief_survival_rate: float = 0.5
+    """Survival rate of a brief attempt."""
+    thorough_layers: int = 6
+    """Annealing layers of an attempt to the end."""
+    thorough_particles: int = 200
+    """Its particles."""
+    thorough_survival_rate: float = 0.6
+    """Its survival rate."""
+    n_settled: int = 2
+    """Brief attempts that are followed to the end."""
+
+
+@dataclass(frozen=True)
+class RepairSettings(_Strict):
+    """Limbs that jump from one frame to the next: what was known on one side is carried to the other."""
+
+    jump_m: float = 0.15
+    """A jump is a move by this much beyond what a limb may move in a frame."""
+    fast_m_s: float = 3.0
+    """What a limb may move."""
+    same_m: float = 0.08
+    """Nearer than this, the carried limb has met the other one: the jump is gone."""
+    joined_nats: float = 6.0
+    """What it is worth that a jump vanishes."""
+    give_up_nats: float = 12.0
+    """A carried limb whose gain falls so far below its best is followed no further."""
+    largest_nats: float = 8.0
+    """Most that one frame may gain or lose, so that no single frame decides."""
+    n_iterations: int = 8
+    """Of the refinement in each frame."""
+
+
+@dataclass(frozen=True)
+class SizeSettings(_Strict):
+    """The size of a person at which refined poses explain the volumes best."""
+
+    stride_s: float = 0.1
+    """Between frames that are looked at."""
+    n_frames: int = 6
+    """Frames the size is fitted to, those that are explained best: a limb that is lost says nothing of the size."""
+    below_std: float = 0.01
+    """Standard deviation of the logarithm of the size below the head's highest place: a lower bound, but for the hull's
+    grain."""
+    above_std: float = 0.04
+    """The same above it: how far below his height a person may hold the head is not known."""
+    unseen_std: float = 0.06
+    """Of a usual height, taken for someone whose head was never high enough to say anything."""
+    girth_std: float = 0.08
+    """Standard deviation of the logarithm of the girth."""
+    frames_worth: float = 2.0
+    """Body and person differ in more than size, in all frames alike: however many frames, they count as so many."""
+    step: float = 0.03
+    """Of the search, in the logarithm of the size."""
+    girth_step: float = 0.08
+    """Of the search, in the logarithm of the girth."""
+    furthest_steps: int = 5
+    """Steps that the search may go."""
+    n_refinements: int = 8
+    """Iterations of the refinement at every size tried."""
+
+
+@dataclass(frozen=True)
+class SmoothSettings(_Strict):
+    """The smoother over whole clips. Half the acceleration blurs a jog, twice leaves jitter."""
+
+    noise_m: float = 0.006
+    """Noise of a point of the body between frames."""
+    noise_per_nat_m: float = 0.007
+    """Its growth per nat of misfit."""
+    acceleration_m_s2: float = 25.0
+    """Half of the largest expected acceleration."""
+    handle_m: float = 0.15
+    """Arm of the points that hold a joint's direction."""
+    n_iterations: int = 10
+    """Of the body's fit to the smoothed points."""
+
+
+# Standard deviation, m, of a landmark of a pose that fits perfectly, and its growth per nat of its limb's misfit:
+# fitted on development scenes by `python -m eval.pose_coverage --fit`, and printed there.
+UNCERTAINTY: Mapping[str, tuple[float, float]] = {
+    "pelvis": (0.003, 0.004),
+    "neck": (0.011, 0.009),
+    "head": (0.009, 0.012),
+    "shoulder": (0.016, 0.007),
+    "elbow": (0.006, 0.006),
+    "wrist": (0.004, 0.006),
+    "hip": (0.015, 0.012),
+    "knee": (0.009, 0.003),
+    "ankle": (0.010, 0.003),
+}
+
+
+@dataclass(frozen=True)
+class DeviationSettings(_Strict):
+    """How far off a landmark may be."""
+
+    of_landmark: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(UNCERTAINTY))
+    """Kind of landmark -> standard deviation where the pose fits perfectly, m, and its growth per nat of misfit."""
+    correlated: float = 2.5
+    """Neighbouring points of hull and outlines err alike: so many count as one. From the jitter of the poses of walking
+    people, which is this much larger than independent residuals would make it."""
+    weak_std_m: float = 0.3
+    """What is known of the root without data."""
+    weak_std_rad: float = 0.7
+    """What is known of a joint without data."""
+    most_misfit_nats: float = 15.0
+    """A larger misfit counts as this one."""
+    usual_unexplained: float = 0.22
+    """Share of a hull's surface far from the body that is usual: clothes, the hull's own excess, a limb that is off. It
+    reached 0.23 on development scenes; a hull with two persons in it has 0.5, one of three cameras 0.7."""
+    astray_m: float = 0.4
+    """By how much the limbs may be off there, per share beyond the usual."""
+
+
+@dataclass(frozen=True)
+class MarkerStartSettings(_Strict):
+    """The first pose from unlabelled marker detections: points on which the cameras agree, a body fitted to them."""
+
+    max_error_px: float = 6.0
+    """Views agree on a point when it projects this near to their detections."""
+    steady_m: float = 0.05
+    """A marker is found again this near in a neighbouring frame; false points are not."""
+    min_points: int = 5
+    """Fewer points are no person."""
+    n_directions: int = 24
+    """Directions that each kind of pose is tried in."""
+    icp_rounds: int = 8
+    """Rounds of moving candidates onto the points."""
+    icp_scale_m: float = 0.15
+    """A point further off than this pulls little."""
+    max_turn_rad: float = 0.3
+    """Largest turn in a round."""
+    wide_gate_px: float = 60.0
+    """Gate of the filter's score while poses are far off."""
+    n_followed: int = 32
+    """Candidates followed by a short filter."""
+    search_std_m: float = 0.06
+    """Noise of the root around each candidate."""
+    search_std_rad: float = 0.25
+    """Noise of the angles."""
+    search_layers: int = 4
+    """Annealing layers of the short filter."""
+    search_particles: int = 100
+    """Its particles."""
+    apart_m: float = 0.25
+    """Candidates are different when a landmark is this far off."""
+    n_looks: int = 12
+    """Frames, spread over the clip, that height and number of persons are read from."""
+    window_s: float = 2.0
+    """Seconds in which the first pose is looked for."""
+    n_window_looks: int = 12
+    """Frames of these seconds that are looked at."""
+    trial_frames: int = 25
+    """Frames that candidates are followed for before one is taken."""
+    trial_layers: int = 3
+    """Annealing layers of the filter that follows them."""
+    trial_particles: int = 100
+    """Its particles."""
+    clear_nats: float = 3.0
+    """Between the best first pose and one that faces another way; nearer ones raise a warning."""
+    facing_cosine: float = 0.5
+    """Two poses face alike when the cosine between them is larger."""
+    rough_slack_m: tuple[float, float] = (0.03, 0.01)
+    """Slack of markers that are not fitted yet: before the first fit, before the second."""
+    fit_s: float = 6.0
+    """How far from the start, each way, body and markers are fitted."""
+    good_share: float = 0.9
+    """Frames whose pose explains less than this share of the usual are not fitted to: they are likely to be wrong in a
+    limb."""
+    bundle_reach_m: float = 0.12
+    """How far a fitted marker looks for its detections."""
+    other_person_m: float = 1.2
+    """Steady points further from the person belong to somebody else."""
+    other_points: int = 6
+    """So many of them in one look are a second person."""
+    other_share: float = 0.3
+    """Share of the looks with so many points elsewhere from which a second person is reported."""
+
+
+@dataclass(frozen=True)
+class MarkerPoseSettings(_Strict):
+    """The refinement of a pose on one frame of detections, and what it leaves uncertain."""
+
+    narrow_rounds: tuple[tuple[float, int], ...] = ((0.12, 4), (0.08, 6))
+    """Rounds of matching near a pose: how far markers are looked for, m, and iterations."""
+    wide_rounds: tuple[tuple[float, int], ...] = ((0.25, 5), (0.15, 5), (0.08, 6))
+    """The same for a pose that may be far off."""
+    prior_std_m: float = 0.1
+    """How far the root may be expected to move in a refinement."""
+    prior_std_rad: float = 0.5
+    """How far a joint may be expected to turn."""
+    min_matched_markers: int = 5
+    """Nothing but so many matched markers tells a body from clutter."""
+    acceleration_m_s2: float = 5.0
+    """Half of the largest expected acceleration of the smoother's random walk."""
+    acceleration_rad_s2: float = 30.0
+    """The same for angles."""
+    model_std_m: float = 0.010
+    """What markers do not tell of a joint: it lies somewhere under the skin."""
+    near_landmark_m: float = 0.16
+    """A marker this near to a landmark, at rest, shows it."""
+
+
+@dataclass(frozen=True)
+class BeamSettings(_Strict):
+    """Several hypotheses of one pose, followed side by side over detections."""
+
+    jump_std: float = 2.0
+    """What a pose may move between frames without much cost, in the filter's noise."""
+    jump_nats: float = 30.0
+    """What any jump costs at most; a lost limb costs as much in two or three frames."""
+    worthless_nats: float = 60.0
+    """Hypotheses that are so much worse than the best are dropped."""
+    apart_m: float = 0.06
+    """Hypotheses are different when a landmark is this far off."""
+    max_step: float = 0.25
+    """rad and m per frame that a pose may go on by itself."""
+    limb_gate_px: float = 20.0
+    """Gate of the filter's score while a limb is searched for."""
+    limb_samples: int = 300
+    """Poses of the limb drawn over its whole range."""
+    limb_particles: int = 100
+    """Particles that the best of them become."""
+    limb_layers: int = 3
+    """Layers in which these close in."""
+    limb_std_rad: float = 0.5
+    """Their noise in the first layer."""
+    feedback_share: float = 0.5
+    """Share of the particles that take over the best pose, the lightest ones first."""
+    lost_share: float = 0.6
+    """A pose that explains less than this share of the usual is bad."""
+    lost_frames: int = 8
+    """So many bad frames in a row: the body is lost."""
+    memory_frames: int = 60
+    """Frames that tell what is usual."""
+    after_pause_frames: int = 3
+    """Frames after a pause before a new start: it needs neighbours to tell true points from false ones."""
+
+
+@dataclass(frozen=True)
+class Method(_Strict):
+    """The numbers of the pose method, room by room."""
+
+    evidence: EvidenceSettings = EvidenceSettings()
+    start: StartSettings = StartSettings()
+    follow: FollowSettings = FollowSettings()
+    limb_search: LimbSearchSettings = LimbSearchSettings()
+    restart: RestartSettings = RestartSettings()
+    repair: RepairSettings = RepairSettings()
+    size: SizeSettings = SizeSettings()
+    smooth: SmoothSettings = SmoothSettings()
+    deviation: DeviationSettings = field(default_factory=DeviationSettings)
+    marker_start: MarkerStartSettings = MarkerStartSettings()
+    marker_fit: MarkerPoseSettings = MarkerPoseSettings()
+    beam: BeamSettings = BeamSettings()

@@ -1,0 +1,296 @@
+"""The pose of one person over a clip of volumes: start, size, both directions, repair, smoothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body import landmarks_of
+from mocap.body.initial import HeightEstimate
+from mocap.pose.deviation import FrameSeries, landmark_covariances
+from mocap.pose.evidence import PersonClip
+from mocap.pose.follow import FramePose, both_ways, follow_pose
+from mocap.pose.repair import repair_limbs
+from mocap.pose.result import PersonPoses, warnings_of_volumes
+from mocap.pose.size import fit_size
+from mocap.pose.smooth import smooth_motion
+from mocap.pose.start import (
+    FirstPose,
+    PoseSearch,
+    settle_first_poses,
+    try_first_poses,
+    walking_velocity,
+)
+from mocap.pose.volume import VolumeEvidence, VolumeObservation, VolumeTools
+from mocap.rng import rng_for
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeClip(PersonClip):
+    """A person seen by volumes."""
+
+    observation: VolumeObservation
+
+    def with_tools(self, tools: VolumeTools) -> VolumeClip:
+        """The same clip judged by other tools, without colours."""
+        return replace(self, observation=self.observation.with_tools(tools))
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A person ready to be followed.  trial : (K,) mean evidence of the starting hypotheses that were compared.
+    n_usable : frames with a usable hull.
+    """
+
+    tools: VolumeTools
+    height: HeightEstimate
+    first: FirstPose
+    trial: Array
+    n_usable: int
+
+
+def start_person(
+    clip: VolumeClip, height: HeightEstimate, *, seed: int, is_size_fitted: bool = False
+) -> Start:
+    """First pose and size of one person; the arguments and errors are those of `follow_person`."""
+    tools, frames = clip.observation.tools, clip.frames
+    usable = [i for i in range(len(clip)) if clip.observation.is_usable(int(frames[i]))]
+    if not usable:
+        raise ValueError(f"person {clip.person} has no frame with a usable hull")
+    numbers = tools.settings.method.start
+    searching = tools
+    if len(usable) < numbers.short_frames:
+        # No motion will tell front from back: look harder.
+        harder = replace(tools.settings, n_first_poses=numbers.short_factor * tools.settings.n_first_poses)
+        searching = replace(tools, settings=harder)
+    search, tried = _most_promising(clip.with_tools(searching), usable, seed=seed)
+    is_crowded = search.evidence.unexplained_share(tried[0].state) > numbers.crowded_share
+    gentle = numbers.crowded_outline_weight
+    if is_crowded and tools.settings.outline_weight > gentle:
+        # The silhouettes hold more than the person, a chair perhaps: their outlines are not all his.
+        tools = replace(tools, settings=replace(tools.settings, outline_weight=gentle))
+        searching = replace(searching, settings=replace(searching.settings, outline_weight=gentle))
+        search = _search_at(clip.with_tools(searching), int(np.searchsorted(frames, search.frame)))
+    rng = rng_for(seed, "settle", clip.person, search.frame)
+    hypotheses = settle_first_poses(search, tried, rng=rng)
+    clip = clip.with_tools(tools)
+    best, trial = choose_hypothesis(clip, hypotheses, seed=seed)
+    if is_size_fitted and not is_crowded:  # a larger body would explain the chair as well
+        tools, height, best = _sized(clip, height, best, seed=seed)
+    return Start(tools, height, best, trial, len(usable))
+
+
+def _search_at(clip: VolumeClip, row: int) -> PoseSearch:
+    """The search for a first pose in a row of a clip that has a usable hull."""
+    frame = int(clip.frames[row])
+    prepared = clip.observation.prepare(frame)
+    assert prepared is not None
+    velocity = walking_velocity(clip, row, clip.observation.tools.settings.method.start)
+    return PoseSearch(clip.observation.evidence(prepared), frame, velocity)
+
+
+def _most_promising(
+    clip: VolumeClip, usable: Sequence[int], *, seed: int
+) -> tuple[PoseSearch, list[FirstPose]]:
+    """The frame of the first seconds in which a first pose promises most, with the poses tried there."""
+    settings, fps = clip.observation.tools.settings, clip.observation.tools.fps
+    reach = settings.method.start.window_s * fps
+    window = [i for i in usable if clip.frames[i] - clip.frames[usable[0]] <= reach]
+    picks = np.unique(np.linspace(0, len(window) - 1, settings.n_start_frames).astype(int))
+    searches = []
+    for i in (window[p] for p in picks):
+        search = _search_at(clip, i)
+        rng = rng_for(seed, "first-pose", clip.person, search.frame)
+        searches.append((search, try_first_poses(search, rng=rng)))
+    return max(searches, key=lambda entry: entry[1][0].log_likelihood)
+
+
+def choose_hypothesis(
+    clip: VolumeClip, hypotheses: Sequence[FirstPose], *, seed: int
+) -> tuple[FirstPose, Array]:
+    """The hypothesis that explains the seconds around its start best, and the mean log-likelihood of each, (K,).
+
+    Each is followed over every third frame with few particles. Front and back look alike in one frame; knees and
+    elbows that bend tell them apart over time.
+    """
+    tools, frames = clip.observation.tools, clip.frames
+    numbers = tools.settings.method.start
+    settled = np.array([h.log_likelihood for h in hypotheses])
+    if len(clip) < numbers.short_frames:
+        return hypotheses[0], settled
+    if len(hypotheses) == 1 or settled[0] > settled[1] + numbers.decisive_nats:
+        return hypotheses[0], settled[:1]
+    stride = numbers.trial_stride_frames
+    brisk = tools.brisk(numbers.trial_layers, numbers.trial_particles, stride, refine=True)
+    quick = clip.with_tools(brisk)
+    reach = round(numbers.trial_s * tools.fps)
+    values = []
+    for hypothesis in hypotheses:
+        start = int(np.searchsorted(frames, hypothesis.frame))
+        later = range(start, min(len(clip), start + reach), stride)
+        earlier = range(start, max(-1, start - reach), -stride)
+        reached = [
+            pose.evidence
+            for order in (later, earlier)
+            for pose in follow_pose(quick, order, hypothesis.state, seed=seed, stage="trial")
+        ]
+        values.append(float(np.nanmean(reached)))
+    return hypotheses[int(np.argmax(values))], np.array(values)
+
+
+def follow_person(
+    clip: VolumeClip,
+    height: HeightEstimate,
+    *,
+    seed: int,
+    is_size_fitted: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> PersonPoses:
+    """Poses of one person over the frames of its track.
+
+    clip : the person's track and hulls, with a body of the given height in its tools.
+    The first pose is looked for in a few frames of the first two seconds; the filter runs from the best of them to
+    the end, and back to the beginning.
+    is_size_fitted : `height` is only the highest place of the head; the size is fitted to some frames around the first
+    pose, and the height changes with it.
+    Raises ValueError when no frame has a usable hull.
+    """
+    start = start_person(clip, height, seed=seed, is_size_fitted=is_size_fitted)
+    tools, settings = start.tools, start.tools.settings
+    observation = clip.observation.with_tools(tools)
+    if settings.refine:
+        observation = observation.learning()
+    clip = replace(clip, observation=observation)
+    poses = _followed(clip, start.first, seed=seed, progress=progress)
+    if settings.repair and settings.refine:
+        _repair(clip, poses)
+    series = _series_of(poses)
+    states = series.states
+    if settings.smooth_lag_frames:
+        states = smooth_motion(tools.body, series, tools.fps, settings.smooth_lag_frames, settings.method)
+    observed = np.array([pose.observed for pose in poses])
+    log_likelihood = np.array([pose.log_likelihood for pose in poses])
+    numbers = settings.method.start
+    trial = start.trial
+    warnings = warnings_of_volumes(
+        clip.person,
+        n_blind=len(clip) - start.n_usable,
+        series=series,
+        observed=observed,
+        log_likelihood=log_likelihood,
+        height=start.height,
+        is_facing_open=len(trial) > 1 and abs(trial[0] - trial[1]) < numbers.clear_facing_nats,
+        crowded_share=numbers.crowded_share,
+    )
+    return PersonPoses(
+        person=clip.person,
+        body=tools.body,
+        height=start.height,
+        frames=clip.frames,
+        states=states,
+        landmarks=landmarks_of(tools.body, states),
+        landmark_covariance=landmark_covariances(
+            tools.body, series, settings.method.deviation, is_refined=settings.refine
+        ),
+        observed=observed,
+        log_likelihood=log_likelihood,
+        ess_share=np.array([pose.ess_share for pose in poses]),
+        start_frame=start.first.frame,
+        first_pose=start.first.label,
+        warnings=tuple(warnings),
+        series=series,
+    )
+
+
+def _followed(
+    clip: VolumeClip, first: FirstPose, *, seed: int, progress: Callable[[int], None] | None
+) -> list[FramePose]:
+    """The poses of all frames, from the first one to the end and back to the beginning."""
+    start = int(np.searchsorted(clip.frames, first.frame))
+    found: dict[int, FramePose] = {}
+    for way, order in both_ways(len(clip), start):
+        for pose in follow_pose(clip, order, first.state, seed=seed, stage=f"pose{way}"):
+            if pose.row in found:
+                continue  # the start was settled on the way forward
+            found[pose.row] = pose
+            if progress is not None:
+                progress(1)
+    return [found[row] for row in range(len(clip))]
+
+
+def _repair(clip: VolumeClip, poses: list[FramePose]) -> None:
+    """Carry limbs over jumps, in place, with the colours that are known now."""
+    tools = clip.observation.tools
+
+    def evidence_of(row: int) -> VolumeEvidence | None:
+        prepared = clip.observation.prepare(int(clip.frames[row]))
+        return None if prepared is None else clip.observation.evidence(prepared)
+
+    states = np.array([pose.state for pose in poses])
+    repaired = repair_limbs(tools.body, states, tools.fps, evidence_of, tools.settings.method.repair)
+    for row, state in repaired.items():
+        evidence = evidence_of(row)
+        if evidence is not None:
+            fit = evidence.fit(state)
+            poses[row] = replace(
+                poses[row],
+                state=state,
+                information=fit.information,
+                misfit=fit.misfit,
+                unexplained=fit.unexplained,
+                log_likelihood=fit.log_likelihood,
+                observed=fit.observed,
+            )
+
+
+def _series_of(poses: Sequence[FramePose]) -> FrameSeries:
+    return FrameSeries(
+        states=np.array([pose.state for pose in poses]),
+        information=np.array([pose.information for pose in poses]),
+        spread=np.array([pose.spread for pose in poses]),
+        misfit=np.array([pose.misfit for pose in poses]),
+        unexplained=np.array([pose.unexplained for pose in poses]),
+        blind_std=np.array([pose.blind_std for pose in poses]),
+    )
+
+
+def _sized(
+    clip: VolumeClip, height: HeightEstimate, first: FirstPose, *, seed: int
+) -> tuple[VolumeTools, HeightEstimate, FirstPose]:
+    """Tools, height and first pose of a person whose size is fitted to a few frames around the first pose."""
+    tools, frames = clip.observation.tools, clip.frames
+    numbers, trial = tools.settings.method.size, tools.settings.method.start
+    start = int(np.searchsorted(frames, first.frame))
+    stride = max(1, round(numbers.stride_s * tools.fps))
+    brisk = tools.brisk(trial.trial_layers, trial.trial_particles, stride, refine=True)
+    quick = clip.with_tools(brisk)
+    reach = stride * numbers.n_frames
+    later = range(start, min(len(clip), start + reach), stride)
+    earlier = range(start - stride, max(-1, start - reach), -stride)
+    seen = [
+        pose
+        for order in (later, earlier)
+        for pose in follow_pose(quick, order, first.state, seed=seed, stage="sizing")
+        if np.isfinite(pose.evidence)
+    ]
+    if not seen:
+        return tools, height, first
+    # The frames that are explained best: a limb that is lost says nothing of the size.
+    seen = sorted(seen, key=lambda pose: -pose.evidence)[: numbers.n_frames]
+    problems, states = [], []
+    for pose in seen:
+        prepared = clip.observation.prepare(int(frames[pose.row]))
+        if prepared is not None:
+            problems.append(clip.observation.evidence(prepared))
+            states.append(pose.state)
+    fit = fit_size(problems, states, is_head_seen=height.is_measured)
+    sized = tools.resized(fit.factor)
+    prepared = clip.observation.prepare(first.frame)
+    state = first.state if prepared is None else sized.frame(prepared).refined(first.state)
+    height = replace(height, height_m=sized.body.height_m)
+    return sized, height, replace(first, state=state)

@@ -1,0 +1,121 @@
+"""Poses of one person over a clip, and what the user has to know of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body import Body
+from mocap.body.initial import HeightEstimate
+from mocap.data import LANDMARKS, Motion
+from mocap.metrics.smoothness import smoothness_scores
+from mocap.pose.deviation import FrameSeries
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PersonPoses:
+    """The result for one person.
+
+    frames : (T,).  states : (T, D).  landmarks : (T, 15, 3) m.  landmark_covariance : (T, 15, 3, 3) m^2.
+    observed : (T, 15) bool.
+    log_likelihood, ess_share : (T,), of the poses before they were smoothed.  start_frame : where the first pose was
+    found.  first_pose : its name.  series : what the frames gave one by one, before smoothing; None = not kept.
+    """
+
+    person: int
+    body: Body
+    height: HeightEstimate
+    frames: NDArray[np.int64]
+    states: Array
+    landmarks: Array
+    landmark_covariance: Array
+    observed: NDArray[np.bool_]
+    log_likelihood: Array
+    ess_share: Array
+    start_frame: int
+    first_pose: str
+    warnings: tuple[str, ...] = field(default=())
+    series: FrameSeries | None = None
+
+
+def motion_of(poses: PersonPoses, fps: float) -> Motion:
+    """The landmarks of one person with their standard deviations."""
+    return Motion(
+        person=poses.person,
+        frames=poses.frames,
+        time_s=poses.frames / fps,
+        landmarks=poses.landmarks,
+        std=np.sqrt(np.diagonal(poses.landmark_covariance, axis1=2, axis2=3)),
+        observed=poses.observed,
+    )
+
+
+def motion_numbers(poses: PersonPoses, fps: float) -> dict[str, float | None]:
+    """How much the landmarks tremble (m/s^3, None for a clip of fewer than four frames) and how much was observed."""
+    jitter = smoothness_scores(poses.landmarks, poses.landmarks, poses.frames, fps).jitter_estimate_m_s3
+    return {
+        "jitter_m_s3": None if jitter is None else round(jitter, 1),
+        "observed_percent": round(100.0 * float(poses.observed.mean()), 1),
+    }
+
+
+def warnings_of_volumes(
+    person: int,
+    *,
+    n_blind: int,
+    series: FrameSeries,
+    observed: NDArray[np.bool_],
+    log_likelihood: Array,
+    height: HeightEstimate,
+    is_facing_open: bool,
+    crowded_share: float,
+) -> list[str]:
+    """What the user has to know of poses found in volumes.
+
+    n_blind : frames without a usable hull.  is_facing_open : two first poses explained the volumes almost equally well.
+    crowded_share : share of the hull's surface that nothing explains, from which poses are uncertain.
+    """
+    n_total = len(series)
+    warnings: list[str] = []
+    if n_blind:
+        warnings.append(
+            f"person {person}: no usable volume in {n_blind} of {n_total} frames; the last pose was carried on and "
+            "its landmarks are marked as not observed"
+        )
+    n_crowded = int((series.unexplained > crowded_share).sum())
+    if n_crowded:
+        warnings.append(
+            f"person {person}: in {n_crowded} of {n_total} frames the body explains less than "
+            f"{100 - 100 * crowded_share:.0f} % of the volume, as when others or things are in it or few cameras see "
+            "the person; poses are uncertain there"
+        )
+    seldom = _seldom_observed(observed, log_likelihood)
+    if seldom:
+        warnings.append(
+            f"person {person}: {', '.join(seldom)} lie in the volume in less than half of the frames: it has holes "
+            "there, or the pose is wrong. Remedy: look at the masks in the report; clothes or skin of the colour of "
+            "the background leave holes"
+        )
+    if not height.is_measured:
+        warnings.append(
+            f"person {person}: the standing height could not be read from the volume; "
+            f"{height.height_m:.2f} m was taken. Remedy: set person_height_m in session.toml"
+        )
+    if is_facing_open:
+        warnings.append(
+            f"person {person}: it is not clear which way the person faces (two poses explain the volumes "
+            "almost equally well); left and right may be exchanged"
+        )
+    return warnings
+
+
+def _seldom_observed(observed: NDArray[np.bool_], log_likelihood: Array) -> list[str]:
+    """Landmarks that were observed (T, 15) in less than half of the frames that had a usable volume."""
+    usable = np.isfinite(log_likelihood)
+    if not usable.any():
+        return []
+    return [name for name, share in zip(LANDMARKS, observed[usable].mean(axis=0), strict=True) if share < 0.5]

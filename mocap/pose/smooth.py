@@ -1,0 +1,80 @@
+"""Smoothing over a whole clip: points of the body in space, then the body fitted to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body import Body
+from mocap.body.kinematics import point_jacobian
+from mocap.data import StateLayout
+from mocap.filters.refine import RefineSettings, refine
+from mocap.filters.smoother import smooth_points
+from mocap.pose.deviation import FrameSeries, astray_variance, limb_misfit
+from mocap.pose.method import Method
+
+Array = NDArray[np.float64]
+
+
+def smooth_motion(body: Body, series: FrameSeries, fps: float, lag: int, method: Method) -> Array:
+    """States (T, D) smoothed over time, inside the limits; every frame looks at `lag` later ones.
+
+    Points of the body are smoothed in space, not angles: near a shoulder's singularity equal poses have angles far
+    apart. A point of a limb that fits badly counts less, one that jumps and comes back counts little. Then the body is
+    fitted to the smoothed points.
+    """
+    numbers = method.smooth
+    joint, offset = _handles(body, numbers.handle_m)
+    part = body.part_of_joint[joint]
+    misfit = limb_misfit(body.layout, series.misfit, method.deviation.most_misfit_nats)[:, part]
+    astray = astray_variance(series, method.deviation)[:, None]
+    variance = numbers.noise_m**2 + (numbers.noise_per_nat_m * misfit) ** 2 + astray
+    points = np.stack([point_jacobian(body, s, joint, offset)[0] for s in series.states])
+    push = np.full(len(joint), numbers.acceleration_m_s2 / fps**2)
+    smoothed, _, _ = smooth_points(points, variance, push, lag=lag)
+    states = np.empty_like(series.states)
+    settings = RefineSettings(
+        prior_std=np.full(body.layout.n_columns, 1e3), residual_std_m=1.0, n_iterations=numbers.n_iterations
+    )
+    for i in range(len(series)):
+        problem = _PointFit(body, joint, offset, smoothed[i])
+        starts = [series.states[i], *([states[i - 1]] if i else [])]
+        start = min(starts, key=problem.cost)
+        states[i] = refine(problem, start, settings)[0]
+    return states
+
+
+@dataclass(frozen=True, eq=False)
+class _PointFit:
+    """A body fitted to places (K, 3) m of points on its joints: implements `ResidualProblem`."""
+
+    body: Body
+    joint: NDArray[np.int64]
+    offset: Array
+    places: Array
+
+    @cached_property
+    def layout(self) -> StateLayout:
+        return self.body.layout
+
+    def cost(self, state: Array) -> float:
+        points, _, _ = point_jacobian(self.body, state, self.joint, self.offset)
+        return 0.5 * float(((points - self.places) ** 2).sum())
+
+    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
+        points, J, _ = point_jacobian(self.body, state, self.joint, self.offset)
+        r = (points - self.places).ravel()
+        A = J.reshape(len(r), -1)
+        return 0.5 * float(r @ r), A.T @ A, A.T @ r
+
+
+def _handles(body: Body, handle_m: float) -> tuple[NDArray[np.int64], Array]:
+    """Points that say where the whole body is: the landmarks, and two for the direction of every joint that turns about
+    more than one axis.  Returns joints (K,) and offsets (K, 3) m in their frames."""
+    turning = [j for j in range(len(body.joints)) if (body.dof_joint == j).sum() > 1]
+    handles = handle_m * np.eye(3)[[0, 1]]
+    joint = np.concatenate([body.landmark_joint, np.repeat(turning, 2)]).astype(np.int64)
+    return joint, np.concatenate([body.landmark_offset, *([handles] * len(turning))])

@@ -1,0 +1,437 @@
+"""Volumes as evidence: the hull of one person in one frame, its outlines and colours, and what they say of a pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body import Body, LookUpTable, build_look_up_table, head_top, height_from_tops, is_upright
+from mocap.body.initial import HeightEstimate
+from mocap.body.stretch import resize_body
+from mocap.data import VoxelGrid
+from mocap.data.problem import limbs_of
+from mocap.filters.refine import RefineSettings
+from mocap.filters.scout import Bonus
+from mocap.likelihood.colours import Appearance, ColourProblem, PixelRays, new_appearance
+from mocap.likelihood.residuals import (
+    BodyFit,
+    HullSurface,
+    OutlineFitSettings,
+    OutlineProblem,
+    Outlines,
+    SurfaceFitSettings,
+    SurfaceProblem,
+    hull_surface,
+)
+from mocap.likelihood.voxels import (
+    PackedVolume,
+    PartScores,
+    VoxelLikelihoodSettings,
+    VoxelProblem,
+    part_scores,
+)
+from mocap.pose.deviation import fit_information
+from mocap.pose.evidence import FrameEvidence, FrameFit, PersonTools
+from mocap.pose.method import EvidenceSettings, StartSettings
+from mocap.pose.posture import Posture, usual_posture
+from mocap.pose.settings import PoseSettings
+from mocap.threads import in_parallel
+from mocap.volume import surface_map
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PersonHull:
+    """The voxels of one person in one frame.  voxels : (N,) int32 ascending.  is_surface : (N,) bool.
+
+    outlines : makes the person's outlines in the cameras, or None where there are no masks.
+    rays : makes the rays through the person's pixels, or None where there are no pictures.
+    """
+
+    voxels: NDArray[np.int32]
+    is_surface: NDArray[np.bool_]
+    outlines: Callable[[], Outlines] | None = None
+    rays: Callable[[], PixelRays] | None = None
+
+
+HullOf = Callable[[int], PersonHull | None]
+
+
+def pack_volume(
+    grid: VoxelGrid,
+    hull: PersonHull,
+    surface_sigma_voxels: float,
+    margin_m: float = EvidenceSettings.crop_margin_m,
+) -> PackedVolume:
+    """The crop that the likelihood reads, with room for particles around the hull."""
+    margin = int(np.ceil(margin_m / grid.voxel_size_m))
+    subs = grid.subscripts(hull.voxels)
+    lower = subs.min(axis=0) - margin
+    upper = subs.max(axis=0) + margin + 1
+    crop = surface_map(hull.voxels, hull.is_surface, grid, lower, upper, surface_sigma_voxels)
+    return PackedVolume(crop, lower.astype(np.int64), grid)
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedHull:
+    """A hull with all that is made of it before a pose is looked for."""
+
+    hull: PersonHull
+    volume: PackedVolume
+    surface: HullSurface
+    outlines: Outlines | None
+    rays: PixelRays | None
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeTools(PersonTools):
+    """What stays the same for one person over a clip of volumes."""
+
+    table: LookUpTable
+    grid: VoxelGrid
+    likelihood: VoxelLikelihoodSettings
+    surface_fit: SurfaceFitSettings
+    outline_fit: OutlineFitSettings
+
+    @property
+    def prior_std(self) -> Array:
+        """(D,) how far a refinement may be expected to move, m and rad: its weak prior."""
+        numbers = self.settings.method.evidence
+        return np.where(self.body.is_position, numbers.refine_std_m, numbers.refine_std_rad)
+
+    def prepared(self, hull: PersonHull) -> PreparedHull:
+        """What of a frame depends on nothing but its hull."""
+        settings = self.settings
+        margin_m = settings.method.evidence.crop_margin_m
+        volume = pack_volume(self.grid, hull, settings.surface_sigma_voxels, margin_m)
+        surface = hull_surface(hull.voxels, hull.is_surface, self.grid, volume)
+        with_outlines = hull.outlines is not None and settings.outline_weight > 0
+        outlines = hull.outlines() if hull.outlines is not None and with_outlines else None
+        with_colours = hull.rays is not None and settings.colour_weight > 0
+        rays = hull.rays() if hull.rays is not None and with_colours else None
+        return PreparedHull(hull, volume, surface, outlines, rays)
+
+    def frame(self, hull: PersonHull | PreparedHull, appearance: Appearance | None = None) -> VolumeEvidence:
+        """What poses are judged by in the frame of a hull.  appearance : what is known of the person's colours."""
+        known = hull if isinstance(hull, PreparedHull) else self.prepared(hull)
+        exact = replace(self.likelihood, kind="exact")
+        return VolumeEvidence(
+            tools=self,
+            hull=known,
+            voxels=VoxelProblem(self.body, self.table, known.volume, exact, n_threads=self.n_threads),
+            surface=SurfaceProblem(self.body, self.table, known.surface, self.surface_fit),
+            outlines=None
+            if known.outlines is None
+            else OutlineProblem(self.body, self.table, known.outlines, self.outline_fit),
+            colours=None
+            if known.rays is None or appearance is None
+            else ColourProblem(self.body, known.rays, appearance),
+        )
+
+    def resized(self, factor: float, girth: float | None = None) -> VolumeTools:
+        """The tools with a body of another size.  girth : factor of the radii, None = as the lengths."""
+        body = resize_body(self.body, factor, factor if girth is None else girth)
+        table = build_look_up_table(body, self.grid.voxel_size_m * self.settings.table_density)
+        return replace(self, body=body, table=table)
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeEvidence:
+    """One person in one frame of volumes: the likelihood, which asks whether the body lies in the hull, and the
+    residuals, which ask whether hull and outlines are explained by the body. Implements `WholeBodyEvidence`.
+    """
+
+    tools: VolumeTools
+    hull: PreparedHull
+    voxels: VoxelProblem
+    surface: SurfaceProblem
+    outlines: OutlineProblem | None
+    colours: ColourProblem | None = None
+
+    @cached_property
+    def search(self) -> VoxelProblem:
+        """The likelihood that proposes poses, of the kind that is configured; `voxels` judges them, always exact."""
+        return replace(self.voxels, settings=self.tools.likelihood)
+
+    @property
+    def grain_m(self) -> float:
+        """Half a voxel."""
+        return 0.5 * self.tools.grid.voxel_size_m
+
+    @cached_property
+    def places(self) -> Array:
+        """Centres (N, 3) m of the person's voxels."""
+        return self.tools.grid.centers(self.hull.hull.voxels)
+
+    @cached_property
+    def posture(self) -> Posture:
+        """Where limbs usually point."""
+        return usual_posture(self.tools.body)
+
+    @cached_property
+    def residuals(self) -> BodyFit:
+        """The residuals of hull surface and outlines together, per hull point."""
+        settings = self.tools.settings
+        n_outline = self.outlines.n_points if self.outlines is not None else 0
+        share = self.surface.n_points / n_outline if n_outline else 0.0
+        weights = settings.surface_weight, settings.outline_weight * share
+        return BodyFit(self.surface, self.outlines, *weights, 1.0 / settings.method.evidence.nats_per_m2)
+
+    @cached_property
+    def coarse(self) -> VolumeEvidence:
+        """The same with fewer hull points, without outlines and colours, for brief attempts."""
+        numbers = self.tools.settings.method.evidence
+        settings = replace(
+            self.tools.surface_fit,
+            n_hull_points=numbers.coarse_hull_points,
+            n_flesh_points=numbers.coarse_flesh_points,
+        )
+        surface = SurfaceProblem(self.surface.body, self.surface.table, self.surface.hull, settings)
+        return replace(self, surface=surface, outlines=None, colours=None)
+
+    @property
+    def on_one_thread(self) -> VolumeEvidence:
+        """The same for a caller that is one of several threads."""
+        tools = replace(self.tools, n_threads=1)
+        return replace(self, tools=tools, voxels=replace(self.voxels, n_threads=1))
+
+    def with_tools(self, tools: VolumeTools) -> VolumeEvidence:
+        """The same frame judged with another body, without colours."""
+        body, table = tools.body, tools.table
+        old = self.voxels
+        return VolumeEvidence(
+            tools=tools,
+            hull=self.hull,
+            voxels=VoxelProblem(body, table, old.volume, old.settings, n_threads=old.n_threads),
+            surface=SurfaceProblem(body, table, self.surface.hull, self.surface.settings),
+            outlines=None
+            if self.outlines is None
+            else OutlineProblem(body, table, self.outlines.outlines, self.outlines.settings),
+        )
+
+    def log_likelihood(self, states: Sequence[Array] | Array) -> Array:
+        """Log-likelihood of K states, (K,)."""
+        return self.voxels.log_likelihood(np.stack(list(states))).sum(axis=1)
+
+    def misfit(self, states: Sequence[Array] | Array) -> Array:
+        """What the likelihood does not ask of K states, (K,) nats: the residuals' cost, that of an unusual
+        posture, less what the colours say."""
+        settings = self.tools.settings
+        nats = np.array(in_parallel(self._misfit_of, list(states), self.tools.n_threads))
+        if settings.posture_nats > 0:
+            nats += settings.posture_nats * self.posture.departure(np.stack(list(states)))
+        return nats
+
+    def _misfit_of(self, state: Array) -> float:
+        settings = self.tools.settings
+        per_m2 = settings.method.evidence.nats_per_m2
+        nats = per_m2 * self.residuals.normal_equations(state)[0] / max(self.surface.n_points, 1)
+        if self.colours is not None:
+            nats -= settings.colour_weight * float(self.colours.log_ratio(state[None])[0])
+        return nats
+
+    def evidence(self, states: Sequence[Array] | Array) -> Array:
+        """How well K states explain the frame, (K,), nats."""
+        return self.log_likelihood(states) - self.misfit(states)
+
+    def refined(self, state: Array, n_iterations: int | None = None) -> Array:
+        """A state (D,) moved to a nearby minimum of the residuals."""
+        return self.all_refined([state], n_iterations)[0]
+
+    def all_refined(self, states: Sequence[Array], n_iterations: int | None = None) -> list[Array]:
+        """Each of several states (D,) moved to a nearby minimum of the residuals, with a weak prior at itself."""
+        if not len(states):
+            return []
+        numbers = self.tools.settings.method.evidence
+        settings = RefineSettings(self.tools.prior_std)
+        return list(
+            self.residuals.descended(
+                np.stack(list(states)),
+                prior_std=settings.prior_std,
+                residual_std_m=settings.residual_std_m,
+                n_iterations=numbers.refine_iterations if n_iterations is None else n_iterations,
+                tolerance=settings.tolerance,
+                n_threads=self.tools.n_threads,
+            )
+        )
+
+    def unexplained_share(self, state: Array) -> float:
+        """Share of the hull's surface that lies far from the body."""
+        return self.surface.unexplained_share(state, self.tools.settings.method.evidence.unexplained_m)
+
+    def limb_misfits(self, state: Array) -> dict[int, float]:
+        """How badly each limb fits, by its first part: nats >= 0, of its worst part."""
+        layout = self.tools.body.layout
+        per_part = self.voxels.log_likelihood(state[None])[0]
+        if len(per_part) != layout.n_parts:
+            return {}
+        return {limb[0]: max(-float(per_part[limb].min()), 0.0) for limb in limbs_of(layout)}
+
+    def limb_terms(self, state: Array) -> list[Bonus]:
+        """What of the hull is unexplained, what the colours say and what is usual."""
+        settings = self.tools.settings
+        search = settings.method.limb_search
+        terms: list[Bonus] = []
+        lost = self.surface.unexplained(state, settings.method.evidence.unexplained_m)
+        if len(lost) > search.unexplained_share * self.surface.n_points:
+            terms.append(partial(self._explained_nats, lost))
+        if self.colours is not None:
+            terms.append(_ColourNats(self.colours, settings.colour_weight, search.pixel_stride, state))
+        if settings.posture_nats > 0:
+            terms.append(partial(self._posture_nats, float(self.posture.departure(state[None])[0])))
+        return terms
+
+    def _explained_nats(self, lost: Array, particles: Array, limb: list[int]) -> Array:
+        """Evidence of the lost hull points (U, 3) that a limb of each particle would explain, (N,)."""
+        method = self.tools.settings.method
+        some = lost[:: max(1, len(lost) // method.limb_search.n_lost_points)]
+        # A lost point costs the surface term its robust limit, scale^2 / 2. The search overstates it: what it finds is
+        # judged by the evidence itself.
+        per_share = (
+            method.limb_search.zeal * method.evidence.nats_per_m2 * 0.5 * self.surface.settings.scale_m**2
+        )
+        lost_share = len(lost) / self.surface.n_points
+        near_m = method.evidence.unexplained_m
+        return per_share * lost_share * self.surface.explained_share(some, particles, limb, near_m)
+
+    def _posture_nats(self, departure: float, particles: Array, limb: list[int]) -> Array:
+        """What the posture of each particle speaks for it, (N,), against that of the state they were made from."""
+        return self.tools.settings.posture_nats * (departure - self.posture.departure(particles))
+
+    def fit(self, state: Array, kept_parts: NDArray[np.bool_] | None = None) -> FrameFit:
+        """How a state (D,) fits; a landmark is observed when the part at its joint lies in occupied voxels and the
+        filter has not lost it."""
+        body = self.tools.body
+        layout = body.layout
+        per_part = self.voxels.log_likelihood(state[None])[0]
+        information = np.zeros((layout.n_columns, layout.n_columns))
+        if self.tools.settings.refine:
+            cost, normal_matrix, _ = self.residuals.normal_equations(state)
+            correlated = self.tools.settings.method.deviation.correlated
+            information = fit_information(cost, normal_matrix, self.surface.n_points, correlated)
+        # A global likelihood says nothing of parts: its misfit is shared out.
+        shared = np.broadcast_to(per_part / (layout.n_parts / len(per_part)), layout.n_parts)
+        parts = body.landmark_parts
+        occupancy = self.part_scores(state).occupied[0]
+        observed = occupancy[parts] >= self.tools.settings.method.evidence.observed_occupancy
+        return FrameFit(
+            information=information,
+            misfit=np.maximum(-shared, 0.0),
+            unexplained=self.unexplained_share(state),
+            log_likelihood=float(per_part.sum()),
+            observed=observed if kept_parts is None else observed & kept_parts[parts],
+        )
+
+    def part_scores(self, state: Array) -> PartScores:
+        """Shares of every part's flesh of one state (D,)."""
+        return part_scores(self.tools.body, self.tools.table, self.voxels.volume, state[None])
+
+
+@dataclass
+class _ColourNats:
+    """What the colours say for a limb of each particle, (N,), against the state (D,) they were made from."""
+
+    colours: ColourProblem
+    weight: float
+    pixel_stride: int
+    state: Array
+    _of_limb: dict[int, Callable[[Array], Array]] = field(default_factory=dict)
+
+    def __call__(self, particles: Array, limb: list[int]) -> Array:
+        if limb[0] not in self._of_limb:
+            self._of_limb[limb[0]] = self.colours.limb_log_ratio(self.state, limb, self.pixel_stride)
+        return self.weight * self._of_limb[limb[0]](particles)
+
+
+@dataclass(eq=False)
+class VolumeObservation:
+    """The hulls of one person over a clip. Implements `Observation`.
+
+    appearance : what has been learnt of the person's colours; None = colours have no say.
+    """
+
+    tools: VolumeTools
+    hull_of: HullOf
+    appearance: Appearance | None = None
+
+    def learning(self) -> VolumeObservation:
+        """The same, with colours that are learnt while the person is followed."""
+        return VolumeObservation(self.tools, self.hull_of, new_appearance(self.tools.body))
+
+    def with_tools(self, tools: VolumeTools) -> VolumeObservation:
+        """The same hulls judged by other tools, without colours."""
+        return VolumeObservation(tools, self.hull_of)
+
+    def prepare(self, frame: int) -> PreparedHull | None:
+        """The hull of a frame, None where there is none or too little of one."""
+        hull = self.hull_of(frame)
+        if hull is None or len(hull.voxels) < self.tools.settings.method.evidence.min_voxels:
+            return None
+        return self.tools.prepared(hull)
+
+    def is_usable(self, frame: int) -> bool:
+        """Whether a frame has a hull that can hold a person."""
+        hull = self.hull_of(frame)
+        return hull is not None and len(hull.voxels) >= self.tools.settings.method.evidence.min_voxels
+
+    def evidence(self, prepared: PreparedHull) -> VolumeEvidence:
+        """What poses are judged by in a prepared frame."""
+        return self.tools.frame(prepared, self.appearance)
+
+    def learn(self, evidence: FrameEvidence, state: Array) -> None:
+        """Take in the colours of a frame: of the parts that are in the hull and clear of the others."""
+        if not isinstance(evidence, VolumeEvidence) or evidence.colours is None:
+            return
+        numbers = self.tools.settings.method.evidence
+        scores = evidence.part_scores(state)
+        trusted = (scores.double[0] < numbers.colour_max_double) & (
+            scores.occupied[0] > numbers.colour_min_occupancy
+        )
+        self.appearance = evidence.colours.learnt(state, trusted)
+
+
+def volume_tools(
+    body: Body,
+    grid: VoxelGrid,
+    fps: float,
+    settings: PoseSettings,
+    likelihood: VoxelLikelihoodSettings,
+    n_threads: int,
+) -> VolumeTools:
+    """Tools of one person of a body's size, with the body's look-up table on a grid."""
+    return VolumeTools(
+        body=body,
+        fps=fps,
+        settings=settings,
+        n_threads=n_threads,
+        table=build_look_up_table(body, grid.voxel_size_m * settings.table_density),
+        grid=grid,
+        likelihood=likelihood,
+        surface_fit=SurfaceFitSettings(),
+        outline_fit=OutlineFitSettings(),
+    )
+
+
+def estimate_height(
+    grid: VoxelGrid,
+    hull_of: HullOf,
+    frames: Sequence[int],
+    *,
+    n_frames: int = StartSettings.height_frames,
+    min_voxels: int = EvidenceSettings.min_voxels,
+) -> HeightEstimate:
+    """Standing height from the heads of a person's hulls, in at most n_frames frames spread over the clip."""
+    chosen = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, n_frames).astype(int))]
+    tops, upright = [], []
+    for frame in chosen:
+        hull = hull_of(frame)
+        if hull is not None and len(hull.voxels) >= min_voxels:
+            centers = grid.centers(hull.voxels)
+            tops.append(head_top(centers, grid.voxel_size_m))
+            upright.append(is_upright(centers, grid.voxel_size_m, tops[-1]))
+    return height_from_tops(np.array(tops), grid.voxel_size_m, np.array(upright, dtype=np.bool_))
