@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import TypeVar
@@ -11,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from mocap.data.hierarchy import Hierarchy, Level, Limb
 from mocap.errors import MocapError
+from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
 
 
 class _Strict(BaseModel):
@@ -91,13 +91,11 @@ def _read(name_or_path: str | Path, presets: tuple[str, ...], spec: type[_Spec])
         if is_preset:
             text = (resources.files("mocap.body") / _FOLDER / path.name).read_text("utf-8")
         else:
-            text = path.read_text("utf-8")
-        return spec.model_validate(tomllib.loads(text))
-    except (OSError, UnicodeDecodeError) as error:
-        raise MocapError("no readable file of a scalable body", path=path, remedy=remedy) from error
-    except tomllib.TOMLDecodeError as error:
-        raise MocapError(f"not a TOML file: {error}", path=path, remedy=remedy) from error
+            text = read_text(path, "the file of a scalable body", limit=SETTINGS_LIMIT_BYTES, remedy=remedy)
+        return spec.model_validate(parse_toml(text))
     except ValidationError as error:
         first = error.errors()[0]
         dotted = ".".join(str(p) for p in first["loc"])
         raise MocapError(f"scalable body: {dotted}: {first['msg']}", path=path, remedy=remedy) from error
+    except ValueError as error:
+        raise MocapError(f"not a TOML file: {error}", path=path, remedy=remedy) from error

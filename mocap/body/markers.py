@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -14,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
 from mocap.errors import MocapError
+from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
 
 Array = NDArray[np.float64]
 
@@ -84,23 +84,21 @@ def load_marker_set(name_or_path: str | Path) -> MarkerSet:
         text = (resources.files("mocap.body") / _FOLDER / path.name).read_text("utf-8")
     else:
         path = Path(name_or_path)
-        try:
-            text = path.read_text("utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise MocapError(
-                f"cannot read the marker set: {error}",
-                path=path,
-                remedy=f"give a TOML file or one of the sets {', '.join(marker_sets())}",
-            ) from error
+        text = read_text(
+            path,
+            "the marker set",
+            limit=SETTINGS_LIMIT_BYTES,
+            remedy=f"give a TOML file or one of the sets {', '.join(marker_sets())}",
+        )
     remedy = "see docs/markers.md for the schema"
     try:
-        found = MarkerSet.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise MocapError(f"not a TOML file: {error}", path=path, remedy="correct the syntax") from error
+        found = MarkerSet.model_validate(parse_toml(text))
     except ValidationError as error:
         first = error.errors()[0]
         dotted = ".".join(str(p) for p in first["loc"])
         raise MocapError(f"marker set: {dotted}: {first['msg']}", path=path, remedy=remedy) from error
+    except ValueError as error:
+        raise MocapError(f"not a TOML file: {error}", path=path, remedy="correct the syntax") from error
     names = [m.name for m in found.marker]
     if not names:
         raise MocapError("marker set: there is no marker", path=path, remedy=remedy)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, V
 from mocap.data.motion import LANDMARKS
 from mocap.data.problem import StateLayout
 from mocap.errors import MocapError
+from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
 
 Array = NDArray[np.float64]
 
@@ -201,31 +201,23 @@ def load_body_model(name_or_path: str | Path) -> BodyModel:
         path = Path(f"{name_or_path}.toml")
     else:
         path = Path(name_or_path)
-        try:
-            text = path.read_text("utf-8")
-        except OSError as error:
-            raise MocapError(
-                f"cannot read the body file: {error.strerror}",
-                path=path,
-                remedy=f"give a TOML file or one of the presets {', '.join(body_presets())}",
-            ) from error
-        except UnicodeDecodeError as error:
-            raise MocapError("not a text file in UTF-8", path=path, remedy="give a TOML file") from error
+        remedy = f"give a TOML file or one of the presets {', '.join(body_presets())}"
+        text = read_text(path, "the body file", limit=SETTINGS_LIMIT_BYTES, remedy=remedy)
     return parse_body_model(text, path)
 
 
 def parse_body_model(text: str, path: Path) -> BodyModel:
     """The content of a body file; `path` names it in errors, which are those of `load_body_model`."""
     try:
-        model = BodyModel.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise MocapError(f"not a TOML file: {error}", path=path, remedy="correct the syntax") from error
+        model = BodyModel.model_validate(parse_toml(text))
     except ValidationError as error:
         first = error.errors()[0]
         dotted = ".".join(str(p) for p in first["loc"])
         raise MocapError(
             f"body file: {dotted}: {first['msg']}", path=path, remedy="see docs/bodies.md for the schema"
         ) from error
+    except ValueError as error:
+        raise MocapError(f"not a TOML file: {error}", path=path, remedy="correct the syntax") from error
     _check_tree(model, path)
     return model
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS, Motion, Tracks
 from mocap.errors import MocapError
+from mocap.files import MB, TEXT_LIMIT_BYTES, check_regular
 from mocap.io._files import atomic_text
 
 TRACK_COLUMNS = ("frame", "time_s", "person", "x_m", "y_m", "z_m")
@@ -21,6 +22,12 @@ LANDMARK_COLUMNS = ("frame", "time_s", "person", "landmark", "x_m", "y_m", "z_m"
 UNCERTAINTY_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "observed")
 DETECTION_COLUMNS = ("frame", "u_px", "v_px")
 LABEL_COLUMNS = ("frame", "camera", "u_px", "v_px")
+
+# Frames of a thousand years at 30 per second: what goes beyond is no count.
+MOST_WHOLE = 10**12
+# By the end of a column's name, its unit. No recording of people reaches a thousand kilometres, no camera has so many
+# pixels, no recording lasts that long; larger values only overflow later, where nobody knows the line any more.
+MOST_OF = {"_m": 1e6, "px": 1e6, "_s": 1e12}
 
 _LANDMARK_INDEX = {name: i for i, name in enumerate(LANDMARKS)}
 _STATUS = {"confirmed": True, "coasting": False}
@@ -222,6 +229,12 @@ def rows_of(path: Path, required: Sequence[str]) -> Iterator[tuple[int, dict[str
 
     Raises MocapError for a file that cannot be read, a column that is missing or there twice, a line of other length.
     """
+    if check_regular(path, "the table") > TEXT_LIMIT_BYTES:
+        raise MocapError(
+            f"the table cannot be read: it has more than {TEXT_LIMIT_BYTES / MB:.0f} MB",
+            path=path,
+            remedy="split the table, or write fewer decimals",
+        )
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
@@ -259,13 +272,15 @@ def _number(path: Path, line: int, row: dict[str, str], column: str, *, may_miss
         raise _bad(path, line, f"{column} is {text!r}, not a number") from error
     if math.isinf(value) or (math.isnan(value) and not may_miss):
         raise _bad(path, line, f"{column} is {text!r}, not a finite number")
+    if abs(value) > MOST_OF.get(column[-2:], math.inf):
+        raise _bad(path, line, f"{column} is {text!r}; no recording reaches that far")
     return value
 
 
 def whole_of(path: Path, line: int, row: dict[str, str], column: str) -> int:
     """A whole number from 0 on out of one field of a row; MocapError with the line for anything else."""
     value = _number(path, line, row, column)
-    if value != int(value) or value < 0:
+    if not 0 <= value < MOST_WHOLE or value != int(value):
         raise _bad(path, line, f"{column} is {row[column]!r}, not a whole number from 0 on")
     return int(value)
 

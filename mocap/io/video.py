@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 
 from mocap.data import CameraRig
 from mocap.errors import MocapError
+from mocap.files import array_names, load_arrays, read_head
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
+from mocap.io._picture_header import size_in_header
 
 # The same for OpenCV's own warnings about files that it cannot open.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
@@ -38,6 +40,11 @@ READ_AHEAD_FRAMES = 2
 MASK_THRESHOLD = 127
 # Up to here a header that lies is answered by counting every frame (0.3 ms each at 640 x 480).
 COUNT_BY_GRABBING_FRAMES = 20_000
+# 134 million pixels, more than any camera that films; decoded they take 400 MB.
+MOST_PIXELS = 2**27
+# Read of a picture to learn its size; headers of all kinds but JPEG with previews lie within.
+HEADER_BYTES = 2**16
+PICTURE_LIMIT_BYTES = 2**30
 _REMEDY_CUT = "leave the damaged part out with `--frames a:b`, or copy the file again"
 
 
@@ -56,9 +63,10 @@ class ClipInfo:
     header_frames: int | None = None
 
 
-def clip_info(path: Path | str, *, camera: str = "") -> ClipInfo:
+def clip_info(path: Path | str, *, camera: str = "", size: Size | None = None) -> ClipInfo:
     """Count and measure a video, picture folder, single picture or mask archive, cheaply.
 
+    size : (width, height) px that its first picture must have, checked before it is decoded; None = any.
     A video's header is believed only when its last frame can be decoded; otherwise the frames are counted.
     Raises MocapError when the file is missing, unreadable, or holds no frame.
     """
@@ -66,16 +74,28 @@ def clip_info(path: Path | str, *, camera: str = "") -> ClipInfo:
     if path.suffix.lower() == ".npz":
         masks = _npz_masks(path, camera)
         return ClipInfo(path, masks.n_frames, masks.size, None)
-    if path.is_dir():
-        files = list_pictures(path)
+    if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
+        files = list_pictures(path) if path.is_dir() else [path]
         if not files:
             raise _empty(path, camera)
-        picture = _read_picture(files[0], camera, 0)
+        picture = _read_picture(files[0], camera, 0, size)
         return ClipInfo(path, len(files), (picture.shape[1], picture.shape[0]), None)
-    if path.suffix.lower() in IMAGE_SUFFIXES:
-        picture = _read_picture(path, camera, 0)
-        return ClipInfo(path, 1, (picture.shape[1], picture.shape[0]), None)
     return _video_info(path, camera, _stamp(path, camera))
+
+
+def promised_size(path: Path, *, camera: str = "", frame: int | None = None) -> Size:
+    """(width, height) px that the header of a picture promises, without decoding it.
+
+    Raises MocapError for a file that cannot be read and for what is no picture.
+    """
+    data = _bytes_of_picture(path, camera, frame, HEADER_BYTES)
+    size = size_in_header(data)
+    if size is None and len(data) == HEADER_BYTES:
+        # The header of a JPEG may lie behind previews and profiles of any length.
+        size = size_in_header(_bytes_of_picture(path, camera, frame, PICTURE_LIMIT_BYTES))
+    if size is None:
+        raise _unreadable("picture", path, camera, frame)
+    return size
 
 
 def list_pictures(folder: Path) -> list[Path]:
@@ -103,6 +123,13 @@ def iter_clip(path: Path | str, *, size: Size | None = None, camera: str = "") -
         clip.close()
 
 
+def _check_order(sources: Mapping[str, Path], rig: CameraRig, frames: range) -> None:
+    if missing := [n for n in rig.names if n not in sources]:
+        raise ValueError(f"sources lacks cameras of the rig: {', '.join(missing)}")
+    if frames and (frames[0] < 0 or frames.step < 1):
+        raise ValueError(f"frames must be ascending from 0 on, got {frames}")
+
+
 class _Reader(ABC, Generic[Picture]):
     """Synchronised reading of all cameras of a rig; the pictures of frame f come in the order of the rig."""
 
@@ -114,10 +141,7 @@ class _Reader(ABC, Generic[Picture]):
         *,
         n_workers: int | None = None,
     ) -> None:
-        if missing := [n for n in rig.names if n not in sources]:
-            raise ValueError(f"sources lacks cameras of the rig: {', '.join(missing)}")
-        if frames and (frames[0] < 0 or frames.step < 1):
-            raise ValueError(f"frames must be ascending from 0 on, got {frames}")
+        _check_order(sources, rig, frames)
         self.frames = frames
         self._names = rig.names
         self._sizes = [c.size for c in rig]
@@ -153,19 +177,7 @@ class _Reader(ABC, Generic[Picture]):
         self._workers = workers = [_Worker(self, group) for group in groups]
         try:
             for frame in self.frames:
-                pictures: list[Picture | None] = [None] * len(self._names)
-                failures: list[tuple[int, Exception]] = []
-                for worker in workers:
-                    answer = worker.take()
-                    if isinstance(answer, _Failure):
-                        failures.append((answer.camera, answer.error))
-                        continue
-                    for camera, picture in zip(worker.group, answer, strict=True):
-                        pictures[camera] = picture
-                if failures:
-                    # The same camera is reported whatever the number of threads.
-                    raise min(failures, key=lambda f: f[0])[1]
-                yield frame, tuple(p for p in pictures if p is not None)
+                yield frame, _gathered(workers)
         finally:
             for worker in workers:
                 worker.stop()
@@ -275,6 +287,22 @@ class _Worker(Generic[Picture]):
                 clip.close()
 
 
+def _gathered(workers: list[_Worker[Picture]]) -> tuple[Picture, ...]:
+    """The next picture of every camera, in the order of the rig."""
+    pictures: dict[int, Picture] = {}
+    failures: list[_Failure] = []
+    for worker in workers:
+        answer = worker.take()
+        if isinstance(answer, _Failure):
+            failures.append(answer)
+        else:
+            pictures.update(zip(worker.group, answer, strict=True))
+    if failures:
+        # The same camera is reported whatever the number of threads.
+        raise min(failures, key=lambda f: f.camera).error
+    return tuple(pictures[camera] for camera in sorted(pictures))
+
+
 class _Clip(Protocol[Picture_co]):
     """One source. read(frame) wants ascending frames and gives None beyond the end."""
 
@@ -298,8 +326,8 @@ class _PictureClip:
     def read(self, frame: int) -> Image | None:
         if frame >= len(self._files):
             return None
-        image = _rgb(_read_picture(self._files[frame], self._camera, frame))
-        self._size = _check_size(image, self._size, self._files[frame], self._camera, frame)
+        image = _rgb(_read_picture(self._files[frame], self._camera, frame, self._size))
+        self._size = (image.shape[1], image.shape[0])
         return image
 
     def close(self) -> None:
@@ -310,6 +338,8 @@ class _VideoClip:
     def __init__(self, path: Path, camera: str, size: Size | None) -> None:
         self._path, self._camera, self._size = path, camera, size
         self._capture = _open_capture(path, camera)
+        if min(promised := _size_of(self._capture)) > 0:
+            _check_promise(promised, size, path, camera)
         self._next = 0
 
     def read(self, frame: int) -> Image | None:
@@ -346,8 +376,7 @@ class _MaskClip:
         if self._files is None or frame >= len(self._files):
             return None
         file = self._files[frame]
-        picture = _read_picture(file, self._camera, frame)
-        _check_size(picture, self._size, file, self._camera, frame)
+        picture = _read_picture(file, self._camera, frame, self._size)
         level = MASK_THRESHOLD if file.suffix.lower() in {".jpg", ".jpeg"} else 0
         if picture.ndim == 3:
             # The alpha channel of an opaque picture is 255 everywhere and says nothing.
@@ -361,39 +390,14 @@ class _MaskClip:
 
 class _NpzMasks:
     def __init__(self, path: Path, camera: str, size: Size | None) -> None:
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                keys = [k for k in archive.files if k == camera] or [k for k in archive.files if k == "masks"]
-                if not keys:
-                    raise MocapError(
-                        f"the archive has neither the camera's name nor `masks` as key, but "
-                        f"{', '.join(archive.files) or 'nothing'}",
-                        path=path,
-                        camera=camera or None,
-                        remedy="store (T, H, W) masks under the camera's name",
-                    )
-                self._data = archive[keys[0]]
-                packed_width = archive["size"].ravel()[0] if "size" in archive.files else None
-        except (OSError, ValueError) as error:
-            raise MocapError(
-                "the mask archive cannot be read",
-                path=path,
-                camera=camera or None,
-                remedy="write it with numpy.savez_compressed",
-            ) from error
         self._path, self._camera, self._size = path, camera, size
-        if self._data.ndim != 3:
-            raise MocapError(
-                f"masks have shape {self._data.shape}, expected (frames, height, width)",
-                path=path,
-                camera=camera or None,
-            )
-        T, height, columns = self._data.shape
-        self.n_frames = T
+        self._data, packed_width = _load_masks(path, camera)
+        self.n_frames, height, columns = self._data.shape
+        self._is_packed = True
         if size is not None and columns == (size[0] + 7) // 8 != size[0]:
-            width, self._is_packed = size[0], True
-        elif packed_width is not None and columns == (int(packed_width) + 7) // 8:
-            width, self._is_packed = int(packed_width), True
+            width = size[0]
+        elif packed_width is not None and columns == (packed_width + 7) // 8:
+            width = packed_width
         else:
             width, self._is_packed = columns, False
         self.size = (width, height)
@@ -410,6 +414,34 @@ class _NpzMasks:
         self._data = self._data[:0]
 
 
+def _load_masks(path: Path, camera: str) -> tuple[NDArray[Any], int | None]:
+    """Masks (T, H, W or packed columns) of a camera in an archive, and the width that the archive says."""
+
+    def wrong(message: str, remedy: str) -> MocapError:
+        return MocapError(message, path=path, camera=camera or None, remedy=remedy)
+
+    try:
+        names = ", ".join(array_names(path, "the mask archive"))
+        arrays = load_arrays(path, "the mask archive", wanted=(camera, "masks", "size"))
+    except MocapError as error:
+        raise wrong(error.message, error.remedy) from error
+    masks = arrays.get(camera, arrays.get("masks"))
+    if masks is None:
+        raise wrong(
+            f"the archive has neither the camera's name nor `masks` as key, but {names or 'nothing'}",
+            "store (T, H, W) masks under the camera's name",
+        )
+    if masks.ndim != 3 or masks.dtype.kind not in "biuf":
+        raise wrong(
+            f"masks are {masks.dtype} of shape {masks.shape}, expected numbers (frames, height, width)",
+            "store (T, H, W) masks",
+        )
+    size = arrays.get("size", np.zeros(0)).ravel()
+    if not size.size or size.dtype.kind not in "iu":
+        return masks, None
+    return masks, int(size[0])
+
+
 def _npz_masks(path: Path, camera: str) -> _NpzMasks:
     masks = _NpzMasks(path, camera, None)
     if masks.n_frames == 0:
@@ -417,16 +449,49 @@ def _npz_masks(path: Path, camera: str) -> _NpzMasks:
     return masks
 
 
-def _read_picture(path: Path, camera: str, frame: int) -> NDArray[Any]:
-    """A picture as it is in the file, (H, W) or (H, W, channels), any depth."""
+def _read_picture(path: Path, camera: str, frame: int, size: Size | None) -> NDArray[Any]:
+    """A picture as it is in the file, (H, W) or (H, W, channels), any depth.
+
+    size : (width, height) px that it must have; what the header promises is looked at before anything is decoded.
+    """
+    data = _bytes_of_picture(path, camera, frame, PICTURE_LIMIT_BYTES)
+    promised = size_in_header(data)
+    if promised is None:
+        raise _unreadable("picture", path, camera, frame)
+    _check_promise(promised, size, path, camera, frame)
     try:
-        data = np.fromfile(path, dtype=np.uint8)
-        picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    except (OSError, cv2.error) as error:
+        picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
         raise _unreadable("picture", path, camera, frame) from error
     if picture is None:
         raise _unreadable("picture", path, camera, frame)
+    _check_size(picture, size, path, camera, frame)
     return picture
+
+
+def _bytes_of_picture(path: Path, camera: str, frame: int | None, limit: int) -> bytes:
+    try:
+        return read_head(path, limit, "the picture")
+    except MocapError as error:
+        raise MocapError(
+            error.message, path=path, camera=camera or None, frame=frame, remedy=error.remedy
+        ) from error
+
+
+def _check_promise(
+    promised: Size, expected: Size | None, path: Path, camera: str, frame: int | None = None
+) -> None:
+    """MocapError for a size in a header that is not the expected one, or that no camera has."""
+    if expected is not None and promised != expected:
+        raise size_error(promised, expected, path, camera, frame)
+    if promised[0] * promised[1] > MOST_PIXELS:
+        raise MocapError(
+            f"the picture is {promised[0]} x {promised[1]}, larger than any camera makes them",
+            path=path,
+            camera=camera or None,
+            frame=frame,
+            remedy="check where the file comes from, or make it smaller",
+        )
 
 
 def _rgb(picture: NDArray[Any]) -> Image:
@@ -505,6 +570,10 @@ def _open_capture(path: Path, camera: str) -> cv2.VideoCapture:
     return capture
 
 
+def _size_of(capture: cv2.VideoCapture) -> Size:
+    return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+
+
 def _stamp(path: Path, camera: str) -> tuple[int, int]:
     if not path.is_file():
         raise MocapError("no such video", path=path, camera=camera or None, remedy="check the session folder")
@@ -517,7 +586,8 @@ def _video_info(path: Path, camera: str, stamp: tuple[int, int]) -> ClipInfo:
     capture = _open_capture(path, camera)
     try:
         header = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        size = _size_of(capture)
+        _check_promise(size, None, path, camera)
         fps: float | None = float(capture.get(cv2.CAP_PROP_FPS))
         if fps is None or not 0.1 <= fps <= 10_000:
             fps = None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict, is_dataclass
 from importlib import resources
@@ -14,6 +13,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mocap.errors import MocapError
+from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
 from mocap.pose.method import Method
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # of a section, of the method's settings
@@ -294,16 +294,15 @@ def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Conf
         path = Path(f"{preset}.toml")
     else:
         path = Path(preset)
-        try:
-            text = path.read_text("utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise MocapError(
-                f"no readable preset or configuration file named {preset!r}",
-                remedy=f"use one of {', '.join(presets())} or the path of a TOML file",
-            ) from error
+        text = read_text(
+            path,
+            f"a preset or configuration file named {preset!r}",
+            limit=SETTINGS_LIMIT_BYTES,
+            remedy=f"use one of {', '.join(presets())} or the path of a TOML file",
+        )
     try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        values = parse_toml(text)
+    except ValueError as error:
         raise MocapError(f"not a TOML file: {error}", path=path, remedy="correct the syntax") from error
     for setting in settings:
         _apply_setting(values, setting)
@@ -329,8 +328,8 @@ def _apply_setting(values: dict[str, Any], setting: str) -> None:
     if not sep or not all(parts) or (len(parts) < 2 and not is_plain):
         raise MocapError(f"cannot read the setting {setting!r}", remedy="write it as --set section.key=value")
     try:
-        value: Any = tomllib.loads(f"value = {text.strip()}")["value"]
-    except tomllib.TOMLDecodeError:
+        value: Any = parse_toml(f"value = {text.strip()}")["value"]
+    except ValueError:
         value = text.strip()  # a bare word is a string
     node = values
     for part in parts[:-1]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
 from mocap.errors import MocapError
+from mocap.files import load_toml
 from mocap.synth.faults import KINDS as _FAULT_KINDS
 from mocap.synth.faults import Fault, find_mistakes
 from mocap.synth.furniture import KINDS as _FURNITURE_KINDS
@@ -117,12 +117,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
                 remedy=f"take one of {', '.join(sorted(known))}, or give a .toml file",
             )
         path = known[text]
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise MocapError(
-            f"the scene cannot be read: {error}", path=path, remedy="correct the file"
-        ) from error
+    document = load_toml(path, "the scene")
     return scene_from_dict({"name": path.stem, **document}, path=path)
 
 

@@ -265,7 +265,7 @@ def test_too_many_parts(tmp_path: Path) -> None:
 def test_missing_and_binary_files(tmp_path: Path) -> None:
     with pytest.raises(MocapError, match="presets anthropometric, girdle, thesis"):
         load_body_model(tmp_path / "none.toml")
-    with pytest.raises(MocapError, match="cannot read"):
+    with pytest.raises(MocapError, match="cannot be read"):
         load_body_model(tmp_path)
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00\x80name")

@@ -67,7 +67,7 @@ def test_bad_marker_sets_are_refused(tmp_path: Path, text: str, message: str) ->
 
 
 def test_a_set_that_is_not_there_and_one_of_another_body(tmp_path: Path) -> None:
-    with pytest.raises(MocapError, match="cannot read the marker set"):
+    with pytest.raises(MocapError, match="the marker set cannot be read"):
         load_marker_set(tmp_path / "none.toml")
     path = tmp_path / "set.toml"
     path.write_text(

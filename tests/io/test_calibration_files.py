@@ -347,7 +347,7 @@ def test_y_up_world_is_refused_with_the_axis_in_the_remedy(tmp_path: Path, rig: 
         ("translation = [", "translation = [", "not finite"),
         ("[0.0, 0.0, 1.0]]", "[0.0, 0.0, 1.0], [1.0, 1.0, 1.0]]", "matrix has 12 numbers"),
         ('name = "back"', 'name = "cam_2"', "used more than once"),
-        ("size = [64, 48]", "size = [64, 0]", "not positive"),
+        ("size = [64, 48]", "size = [64, 0]", "is not two whole numbers"),
         ("distortions = [-0.1,", 'distortions = ["a",', "not a list of numbers"),
         ("distortions = [-0.1,", "distortions = [-0.1, 0, 0,", "6|7 distortion numbers"),
         ("rotation = [", "rotatoin = [", "has no rotation"),

@@ -396,7 +396,7 @@ BAD = [
     ("a.csv", "frame,a_x,a_y,a_z\n", "the file holds no frames"),
     ("a.c3d", "no C3D at all", "not a C3D file"),
     ("a.c3d", "\x02\x50" + "x" * 2000, "cannot be read"),
-    ("a.json", "{", "not JSON"),
+    ("a.json", "{", "not valid JSON"),
     ("a.json", "[]", "no list `bodies`"),
     ("a.json", '{"bodies": [{"id": 0}]}', "lacks `id`, or `joints19`"),
     ("a.json", '{"bodies": [{"id": 0, "joints19": [1, 2]}]}', "2 numbers, expected 4 per joint"),
@@ -481,7 +481,7 @@ def test_files_that_are_not_there_and_folders_without_poses(tmp_path: Path) -> N
         ("[truth.landmarks]\nnose = 'a'\n", "truth.landmarks.nose is not a landmark"),
         ("[truth.landmarks]\nhead = []\n", "truth.landmarks.head must be a name or a list"),
         ("[truth]\nlandmarks = 'a'\n", "truth.landmarks must be a table"),
-        ("[truth\n", "not TOML"),
+        ("[truth\n", "not valid TOML"),
     ],
 )
 def test_a_wrong_map_is_named_by_its_key(tmp_path: Path, text: str, message: str) -> None:

@@ -142,7 +142,7 @@ def test_defaults_and_a_preset_of_the_user(tmp_path: Path) -> None:
             'sessions = ["data/box"]\n[set]\n"pose.n_layers" = 1\n[grid]\n"pose.n_layers" = [5]',
             "'pose.n_layers' is given twice",
         ),
-        ("sessions = [", "not a TOML file"),
+        ("sessions = [", "not valid TOML"),
     ],
 )
 def test_what_is_said_of_a_wrong_file(tmp_path: Path, text: str, message: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,20 @@ from typing import Any
 import numpy as np
 
 from mocap.data import CameraRig
+from mocap.files import load_toml
 from mocap.geometry.rigid import rotation_vector_from_matrix
 from mocap.io._files import atomic_text
-from mocap.io.calibration.record import RawCamera, RawRig, bad, distortion, numbers, picture_size, rotation
+from mocap.io.calibration.record import (
+    MOST_PX,
+    RawCamera,
+    RawRig,
+    bad,
+    camera_name,
+    distortion,
+    numbers,
+    picture_size,
+    rotation,
+)
 from mocap.io.units import AXES, unit_from_word
 
 _CAMERA_KEYS = {"matrix", "rotation", "translation", "distortions"}
@@ -25,10 +35,7 @@ def read_toml(path: Path) -> RawRig:
 
     Raises MocapError with the camera for what is no TOML or lacks a part.
     """
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise bad(path, f"not valid TOML: {error}") from error
+    document = load_toml(path, "the calibration", remedy="correct the file or calibrate again")
     metadata = document.pop("metadata", {})
     if not isinstance(metadata, dict):
         raise bad(path, "metadata is not a table")
@@ -70,19 +77,18 @@ class _Cameras:
         if self._is_caliscope and not {"rotation", "translation"} <= section.keys():
             self.warnings.append(f"camera {name} has no pose in the file and is left out")
             return
-        if section.get("rotation_count", 0) % 4:
+        if section.get("rotation_count", 0) not in (0, 4, -4):
             self.warnings.append(f"camera {name}: its pictures must be turned upright as the file's tool did")
         error_px = section.get("error", section.get("reprojection_error_px"))
-        if isinstance(error_px, (int, float)):
+        if isinstance(error_px, (int, float)) and 0 <= error_px < MOST_PX:
             self.errors_px.append(float(error_px))
         self.cameras.append(_camera(self._path, name, section))
 
     def _name(self, key: str, section: dict[str, Any]) -> str:
-        if "name" in section:
-            return str(section["name"])
-        if not self._is_caliscope:
-            return key
-        return f"port_{section['port']}" if "port" in section else f"cam_{section.get('cam_id', key)}"
+        if "name" in section or not self._is_caliscope:
+            return camera_name(self._path, section.get("name", key))
+        word = f"port_{section['port']}" if "port" in section else f"cam_{section.get('cam_id', key)}"
+        return camera_name(self._path, word)
 
 
 def _camera(path: Path, name: str, section: dict[str, Any]) -> RawCamera:
@@ -113,7 +119,7 @@ def _rms_px(metadata: dict[str, Any], errors_px: list[float]) -> float | None:
     if not isinstance(error_px, (int, float)):
         error_px = float(np.mean(errors_px)) if errors_px else 0.0
     # Pose2Sim always writes error = 0.0: that means "not known".
-    return float(error_px) if np.isfinite(error_px) and error_px > 0 else None
+    return float(error_px) if 0 < error_px < MOST_PX else None
 
 
 def _with_units(path: Path, raw: RawRig, metadata: dict[str, Any], tables: list[dict[str, Any]]) -> RawRig:

@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from mocap.errors import MocapError
-from mocap.io.calibration.record import RawCamera, RawRig, bad, distortion, numbers, picture_size, rotation
+from mocap.io.calibration.record import (
+    RawCamera,
+    RawRig,
+    bad,
+    camera_name,
+    distortion,
+    numbers,
+    picture_size,
+    rotation,
+)
 from mocap.io.calibration.storage import Map, first_numbers, read_storage
 
 
@@ -26,7 +36,7 @@ def read_easymocap(path: Path) -> RawRig:
     names = _names(inner) or _names(outer)
     if not names:
         raise bad(intri, "the list `names` is missing or empty")
-    cameras = tuple(_camera(name, intri, inner, extri, outer) for name in names)
+    cameras = tuple(_camera(camera_name(intri, n), intri, inner, extri, outer) for n in names)
     return RawRig(cameras, "easymocap", units="m", is_unit_sure=False)
 
 
@@ -51,9 +61,9 @@ def _camera(name: str, intri: Path, inner: Map, extri: Path, outer: Map) -> RawC
     )
 
 
-def _names(document: Map) -> list[str]:
+def _names(document: Map) -> list[Any]:
     listed = document.get("names")
     if not isinstance(listed, list):
         return []
     # A list written without quotes holds numbers: 1, not "1".
-    return [f"{n:g}" if isinstance(n, float) else str(n) for n in listed]
+    return [f"{n:g}" if isinstance(n, float) else n for n in listed]

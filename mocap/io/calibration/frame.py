@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
-from mocap.io.calibration.record import CalibrationFile, RawCamera, RawRig, bad
+from mocap.io.calibration.record import MOST_PX, CalibrationFile, RawCamera, RawRig, bad
 from mocap.io.units import METRES_PER_UNIT
 
 Array = NDArray[np.float64]
@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 PLAUSIBLE_SPAN_M = (0.3, 100.0)
 # A camera standing on the floor of a roughly levelled rig may come out a little below it.
 FLOOR_TOLERANCE_M = 0.3
+# Focal length as a share of the longer side of the picture: the widest fisheye lenses have 0.15, a telephoto lens of
+# 800 mm on a small chip has 150.
+FOCAL_SHARE = (0.02, 1000.0)
 # Six printed decimals make R wrong by 1e-6; beyond 1e-2 it is another matrix, not a rounded rotation.
 # Below 1e-9 the matrix is left alone, so that our own files come back bit for bit.
 _ROTATION_EXACT, _ROTATION_NOTE, _ROTATION_LIMIT = 1e-9, 1e-6, 1e-2
@@ -116,8 +119,17 @@ def _checked_camera(raw: RawCamera, path: Path, scale: float, notes: list[str], 
     K = _checked_matrix(raw, path, notes, doubts)
     R = _checked_rotation(raw, path, notes)
     size = raw.size or (round(2 * float(K[0, 2])), round(2 * float(K[1, 2])))
-    if min(size) < 1:
+    if min(size) < 1 or max(size) > MOST_PX:
         raise bad(path, "no picture size and none can be guessed", camera=raw.name)
+    shares = np.array([K[0, 0], K[1, 1]]) / max(size)
+    if shares.min() < FOCAL_SHARE[0] or shares.max() > FOCAL_SHARE[1]:
+        raise bad(
+            path,
+            f"focal lengths of {K[0, 0]:.4g} and {K[1, 1]:.4g} px do not go with pictures of "
+            f"{size[0]} x {size[1]}",
+            camera=raw.name,
+            remedy="give focal lengths in pixels of these pictures",
+        )
     if not (0 <= K[0, 2] <= size[0] and 0 <= K[1, 2] <= size[1]):
         doubts.append(
             f"camera {raw.name}: principal point ({K[0, 2]:.0f}, {K[1, 2]:.0f}) lies outside the picture of "
@@ -147,6 +159,9 @@ def _checked_matrix(raw: RawCamera, path: Path, notes: list[str], doubts: list[s
 
 
 def _checked_rotation(raw: RawCamera, path: Path, notes: list[str]) -> Array:
+    # Far from a rotation: the products below would overflow.
+    if np.abs(raw.R).max() > 10:
+        raise bad(path, f"R is not a rotation: it holds {np.abs(raw.R).max():.3g}", camera=raw.name)
     U, singular, Vt = np.linalg.svd(raw.R)
     deviation = float(np.abs(raw.R @ raw.R.T - np.eye(3)).max())
     if np.linalg.det(raw.R) <= 0:

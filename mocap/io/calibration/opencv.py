@@ -6,7 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from mocap.errors import MocapError
-from mocap.io.calibration.record import RawCamera, RawRig, bad, distortion, numbers, picture_size, rotation
+from mocap.io.calibration.record import (
+    RawCamera,
+    RawRig,
+    bad,
+    camera_name,
+    distortion,
+    numbers,
+    picture_size,
+    rotation,
+)
 from mocap.io.calibration.storage import Map, first_numbers, read_storage
 from mocap.io.units import unit_from_word
 
@@ -35,11 +44,11 @@ def read_opencv(path: Path) -> RawRig:
     error_px = document.get("avg_reprojection_error")
     rms_px = error_px if isinstance(error_px, float) and error_px > 0 else None
     if first_numbers(document, _K_NODES) is not None:
-        cameras = [_camera(path, document, _text(document, "camera_name") or path.stem)]
+        cameras = [_camera(path, document, _name(path, document, path.stem))]
     else:
         maps = {key: node for key, node in document.items() if isinstance(node, dict)}
         cameras = [
-            _camera(path, node, _text(node, "camera_name", "name") or key)
+            _camera(path, node, _name(path, node, key))
             for key, node in maps.items()
             if first_numbers(node, _K_NODES) is not None
         ]
@@ -65,10 +74,9 @@ def _units(path: Path, word: Any) -> tuple[str, bool]:
     return unit, True
 
 
-def _text(node: Map, *keys: str) -> str | None:
-    """The first of the keys that is there, if it is text."""
-    value = next((node[key] for key in keys if node.get(key) is not None), None)
-    return value if isinstance(value, str) else None
+def _name(path: Path, node: Map, otherwise: str) -> str:
+    label = node.get("camera_name", node.get("name"))
+    return camera_name(path, label if isinstance(label, str) else otherwise)
 
 
 def _camera(path: Path, node: Map, name: str) -> RawCamera:

@@ -5,7 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mocap.io.calibration.record import RawCamera, RawRig, bad, distortion, numbers, picture_size, rotation
+from mocap.io.calibration.record import (
+    RawCamera,
+    RawRig,
+    bad,
+    camera_name,
+    distortion,
+    numbers,
+    picture_size,
+    rotation,
+)
 
 # Picture sizes of the two kinds of cameras, for files that leave `resolution` out.
 _SIZES = {"vga": (640, 480), "hd": (1920, 1080)}
@@ -20,7 +29,7 @@ def read_panoptic(path: Path, document: dict[str, Any]) -> RawRig:
 def _camera(path: Path, i: int, entry: Any) -> RawCamera:
     if not isinstance(entry, dict):
         raise bad(path, f"cameras[{i}] is not an object")
-    name = str(entry.get("name", i))
+    name = camera_name(path, entry.get("name", i))
     for key in ("K", "R", "t"):
         if key not in entry:
             raise bad(path, f"the camera has no {key}", camera=name)

@@ -5,16 +5,16 @@ Every conversion that a reader makes is reported in `CalibrationFile.notes`, eve
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from mocap.errors import MocapError
+from mocap.files import load_json
 from mocap.io.calibration.anipose import read_toml
 from mocap.io.calibration.easymocap import read_easymocap
 from mocap.io.calibration.frame import in_our_frame
 from mocap.io.calibration.opencv import read_opencv, read_opencv_folder
 from mocap.io.calibration.panoptic import read_panoptic
-from mocap.io.calibration.record import CalibrationFile, RawRig, bad
+from mocap.io.calibration.record import CalibrationFile, RawRig
 from mocap.io.units import AXES, METRES_PER_UNIT
 
 _STORAGE_SUFFIXES = {".yml", ".yaml", ".xml"}
@@ -55,10 +55,7 @@ def _read_file(path: Path) -> RawRig:
     if suffix == ".toml":
         return read_toml(path)
     if suffix == ".json":
-        try:
-            document = json.loads(path.read_text(encoding="utf-8"))
-        except (json.JSONDecodeError, UnicodeDecodeError) as error:
-            raise bad(path, f"not valid JSON: {error}") from error
+        document = load_json(path, "the calibration", remedy="correct the file or calibrate again")
         is_panoptic = isinstance(document, dict) and isinstance(document.get("cameras"), list)
         return read_panoptic(path, document) if is_panoptic else read_opencv(path)
     if suffix in _STORAGE_SUFFIXES:

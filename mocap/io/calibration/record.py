@@ -15,6 +15,16 @@ from mocap.geometry.rigid import matrix_from_rotation_vector
 
 Array = NDArray[np.float64]
 
+# The largest pictures of today's cameras are 20,000 pixels wide.
+MOST_PX = 100_000
+# Millimetres in a thousand kilometres; entries of a matrix stay far below.
+MOST = 1e9
+# Lenses of long focal length have coefficients of some ten thousand at high powers of a small radius.
+MOST_DISTORTION = 1e6
+# A rotation vector of more than some turns is no vector but a mistake.
+MOST_TURN_RAD = 100.0
+MOST_LETTERS = 100
+
 
 @dataclass(frozen=True, eq=False)
 class CalibrationFile:
@@ -86,6 +96,8 @@ def numbers(path: Path, camera: str, key: str, value: Any, shape: tuple[int, ...
         raise bad(path, f"{key} has {found.size} numbers, expected {int(np.prod(shape))}", camera=camera)
     if not np.isfinite(found).all():
         raise bad(path, f"{key} holds a number that is not finite", camera=camera)
+    if np.abs(found).max() > MOST:
+        raise bad(path, f"{key} holds {np.abs(found).max():.3g}, which no camera has", camera=camera)
     return found.reshape(shape)
 
 
@@ -97,6 +109,8 @@ def distortion(path: Path, camera: str, value: Any, is_fisheye: bool) -> Array:
         raise bad(path, "the distortion is not a list of numbers", camera=camera) from error
     if not np.isfinite(flat).all():
         raise bad(path, "the distortion holds a number that is not finite", camera=camera)
+    if np.abs(flat).max(initial=0.0) > MOST_DISTORTION:
+        raise bad(path, f"the distortion holds {np.abs(flat).max():.3g}, which no lens has", camera=camera)
     if is_fisheye:
         if len(flat) < 4 or np.any(flat[4:]):
             raise bad(path, f"a fisheye camera has 4 distortion numbers, not {len(flat)}", camera=camera)
@@ -111,13 +125,36 @@ def distortion(path: Path, camera: str, value: Any, is_fisheye: bool) -> Array:
 def picture_size(path: Path, camera: str, value: Any) -> tuple[int, int]:
     """(width, height) px."""
     w, h = numbers(path, camera, "size", value, (2,))
-    if w < 1 or h < 1:
-        raise bad(path, f"picture size {w:g} x {h:g} is not positive", camera=camera)
+    if not (1 <= w <= MOST_PX and 1 <= h <= MOST_PX) or w % 1 or h % 1:
+        raise bad(
+            path,
+            f"picture size {w:g} x {h:g} is not two whole numbers from 1 to {MOST_PX:g}",
+            camera=camera,
+        )
     return int(w), int(h)
 
 
 def rotation(path: Path, camera: str, value: Any) -> Array:
     """A 3 x 3 matrix from a matrix or a Rodrigues vector, as given (not yet made orthonormal)."""
-    if np.size(value) == 3:
-        return matrix_from_rotation_vector(numbers(path, camera, "rotation", value, (3,)))
-    return numbers(path, camera, "rotation", value, (3, 3))
+    try:
+        n_numbers = np.array(value, dtype=np.float64).size
+    except (TypeError, ValueError) as error:
+        raise bad(path, "rotation is not a table of numbers", camera=camera) from error
+    if n_numbers != 3:
+        return numbers(path, camera, "rotation", value, (3, 3))
+    vector = numbers(path, camera, "rotation", value, (3,))
+    if np.linalg.norm(vector) > MOST_TURN_RAD:
+        raise bad(path, f"rotation turns by {np.linalg.norm(vector):.3g} rad", camera=camera)
+    return matrix_from_rotation_vector(vector)
+
+
+def camera_name(path: Path, value: Any) -> str:
+    """The name of a camera: text or a whole number, not empty, on one line; it becomes part of file names."""
+    name = str(value) if isinstance(value, str | int) else ""
+    if not name.strip() or not name.isprintable() or len(name) > MOST_LETTERS:
+        raise bad(
+            path,
+            f"{str(value)[:40]!r} cannot be the name of a camera",
+            remedy="give every camera a name of letters and digits",
+        )
+    return name

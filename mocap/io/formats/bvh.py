@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from mocap.data import Skeleton
 from mocap.errors import MocapError
+from mocap.files import read_text
 from mocap.io.formats._writing import Y_UP_FROM_WORLD, check_fps, held_poses, root_and_order, write_bytes
-from mocap.io.formats.table import PoseFile, PoseTable, person_in_name, text_of
+from mocap.io.formats.table import MOST, PoseFile, PoseTable, person_in_name
 
 Array = NDArray[np.float64]
 Number = TypeVar("Number", int, float)
@@ -23,6 +24,8 @@ CHANNELS = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zr
 # Rigs of films with faces and fingers have a few hundred; what goes beyond is no skeleton.
 _MAX_JOINTS = 2000
 _CM = 100.0
+# From a million frames per second to one frame a day.
+_SHORTEST_FRAME_S, _LONGEST_FRAME_S = 1e-6, 86_400.0
 _REMEDY = "export the motion as BVH again"
 
 
@@ -90,7 +93,7 @@ def read_bvh_motion(path: Path | str) -> BvhMotion:
     long as announced or holds what is no finite number.
     """
     path = Path(path)
-    words = _Words(path, text_of(path))
+    words = _Words(path, read_text(path))
     if words.take() != "HIERARCHY":
         raise words.error("not a BVH file: it does not begin with HIERARCHY")
     joints = _Hierarchy(words).read()
@@ -191,8 +194,8 @@ class _Hierarchy:
             x, y, z = (float(v) for v in self._words.needed(3))
         except ValueError as error:
             raise self._words.error(f"OFFSET of {joint.name} is not three numbers") from error
-        if not np.isfinite((x, y, z)).all():
-            raise self._words.error(f"OFFSET of {joint.name} is not three numbers")
+        if not max(abs(x), abs(y), abs(z)) <= MOST or not np.isfinite((x, y, z)).all():
+            raise self._words.error(f"OFFSET of {joint.name} is not three numbers of a body")
         self._replace(joint, offset=(x, y, z))
 
     def _channels(self) -> None:
@@ -215,7 +218,7 @@ def _table(words: _Words, n_channels: int) -> tuple[Array, float]:
     lines = words.rest()
     n_frames = _announced(words, lines[:1], "Frames:", int)
     frame_s = _announced(words, lines[1:2], "Frame Time:", float)
-    if n_frames < 0 or not 0 < frame_s < np.inf:
+    if n_frames < 0 or not _SHORTEST_FRAME_S <= frame_s <= _LONGEST_FRAME_S:
         raise words.error(f"{n_frames} frames of {frame_s} s make no sense", lines[0][0])
     rows = lines[2:]
     try:
@@ -224,6 +227,8 @@ def _table(words: _Words, n_channels: int) -> tuple[Array, float]:
         raise words.error(f"the motion holds what is not a number: {error}", rows[0][0]) from error
     if not np.isfinite(values).all():
         raise words.error("the motion holds a number that is not finite", rows[0][0])
+    if np.abs(values).max(initial=0.0) > MOST:
+        raise words.error(f"the motion holds {np.abs(values).max():.3g}, which no motion reaches", rows[0][0])
     if len(values) != n_frames * n_channels:
         odd = next((i for i, text in rows if len(text.split()) != n_channels), lines[0][0])
         raise words.error(

@@ -11,12 +11,13 @@ import numpy as np
 
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
+from mocap.files import read_text
 from mocap.io.formats.table import (
     PoseFile,
     PoseTable,
     bad_line,
     number,
-    text_of,
+    time_of,
     whole,
     without_zeros,
     zero_note,
@@ -37,7 +38,7 @@ def read_csv(path: Path) -> PoseFile:
     Raises MocapError with the line for a cell that is no number or a frame that is there twice.
     """
     path = Path(path)
-    text = text_of(path)
+    text = read_text(path)
     lines = text.splitlines()
     try:
         header = [c.strip() for c in next(csv.reader(lines[:1], delimiter=_delimiter(text)), [])]
@@ -129,7 +130,7 @@ def _wide_row(
     line = k + 2
     person = 0 if at.person_at is None else whole(path, line, row[at.person_at], "person")
     frame = k if at.frame_at is None else whole(path, line, row[at.frame_at], "frame")
-    time = float("nan") if at.time_at is None else number(path, line, row[at.time_at], header[at.time_at])
+    time = float("nan") if at.time_at is None else time_of(path, line, row[at.time_at], header[at.time_at])
     return (
         person,
         frame,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import MocapError
-from mocap.io.formats.table import PoseFile, PoseTable, text_of
+from mocap.files import load_json
+from mocap.io.formats.table import PoseFile, PoseTable, check_places
 
 HD_FPS = 29.97
 _MOST = 10**15
@@ -69,10 +69,7 @@ def _bodies_of(files: list[Path]) -> tuple[set[str], dict[int, dict[int, np.ndar
 
 
 def _bodies(file: Path) -> list[Any]:
-    try:
-        content = json.loads(text_of(file))
-    except (ValueError, RecursionError) as error:
-        raise _bad(file, f"not JSON: {error}") from error
+    content = load_json(file, remedy="unpack the sequence again")
     bodies = content.get("bodies") if isinstance(content, dict) else None
     if not isinstance(bodies, list):
         raise _bad(file, "not a Panoptic pose file: it has no list `bodies`")
@@ -92,6 +89,7 @@ def _body(file: Path, body: Any) -> tuple[int, str, np.ndarray]:
     if values.shape != (4 * len(_SKELETONS[kind]),):
         raise _bad(file, f"{kind} of body {person} has {values.size} numbers, expected 4 per joint")
     joints = values.reshape(-1, 4)
+    check_places(file, joints[:, :3])
     return person, kind, np.where(joints[:, 3:] > 0, joints[:, :3], np.nan)
 
 

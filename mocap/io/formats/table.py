@@ -13,7 +13,10 @@ from mocap.errors import MocapError
 
 Array = NDArray[np.float64]
 
-_MOST = 1e15
+# Millimetres in a thousand kilometres: beyond lies no recording, only overflow.
+MOST = 1e9
+# Frame numbers may be time stamps in microseconds.
+_MOST_WHOLE = 1e15
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,26 +59,35 @@ class PoseFile:
     notes: tuple[str, ...] = ()
 
 
-def text_of(path: Path) -> str:
-    """The text of a file; MocapError when it cannot be read or is no text."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise MocapError(
-            f"the file cannot be read: {error.strerror}", path=path, remedy="check the path"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise MocapError(
-            "the file is not text", path=path, remedy="check that its ending names its format"
-        ) from error
-
-
 def bad_line(path: Path, line: int, message: str) -> MocapError:
     return MocapError(f"line {line}: {message}", path=path, remedy="export the file again")
 
 
 def number(path: Path, line: int, text: str, what: str) -> float:
-    """A finite number, or NaN for an empty cell or one that says nan."""
+    """A number that a recording can hold, or NaN for an empty cell or one that says nan."""
+    value = _finite(path, line, text, what)
+    if abs(value) > MOST:
+        raise bad_line(path, line, f"{what} is {text.strip()!r}; no recording reaches that far")
+    return value
+
+
+def whole(path: Path, line: int, text: str, what: str) -> int:
+    """A whole number that counts something; so large a one as no recording has is refused like a word."""
+    value = _finite(path, line, text, what)
+    if not abs(value) < _MOST_WHOLE or value != int(value):
+        raise bad_line(path, line, f"{what} is {text.strip()!r}, not a whole number")
+    return int(value)
+
+
+def time_of(path: Path, line: int, text: str, what: str) -> float:
+    """Seconds, or milliseconds since 1970 where a tool writes these; NaN for an empty cell."""
+    value = _finite(path, line, text, what)
+    if abs(value) > _MOST_WHOLE:
+        raise bad_line(path, line, f"{what} is {text.strip()!r}; no recording lasts that long")
+    return value
+
+
+def _finite(path: Path, line: int, text: str, what: str) -> float:
     text = text.strip()
     if not text or text.lower() in ("nan", "na", "null", "none"):
         return float("nan")
@@ -88,12 +100,15 @@ def number(path: Path, line: int, text: str, what: str) -> float:
     return value
 
 
-def whole(path: Path, line: int, text: str, what: str) -> int:
-    """A whole number that counts something; so large a one as no recording has is refused like a word."""
-    value = number(path, line, text, what)
-    if not abs(value) < _MOST or value != int(value):
-        raise bad_line(path, line, f"{what} is {text.strip()!r}, not a whole number")
-    return int(value)
+def check_places(path: Path, xyz: Array) -> None:
+    """MocapError when a point (..., 3) lies where no recording reaches, NaN left out; in the unit of the file."""
+    far = np.abs(xyz) > MOST
+    if far.any():
+        raise MocapError(
+            f"a point lies at {xyz[far][0]:.3g}; no recording reaches that far",
+            path=path,
+            remedy="export the file again",
+        )
 
 
 def without_zeros(xyz: Array) -> tuple[Array, int]:

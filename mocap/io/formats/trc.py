@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS, Motion
+from mocap.files import read_text
 from mocap.io.formats._writing import Y_UP_FROM_WORLD, check_fps, gap_free, write_bytes
 from mocap.io.formats.table import (
     PoseFile,
@@ -16,7 +17,7 @@ from mocap.io.formats.table import (
     bad_line,
     number,
     person_in_name,
-    text_of,
+    time_of,
     whole,
     without_zeros,
     zero_note,
@@ -33,7 +34,7 @@ def read_trc(path: Path) -> PoseFile:
     so does `person_3`; else person 0. Raises MocapError with the line for a header or a cell that is wrong.
     """
     path = Path(path)
-    lines = text_of(path).splitlines()
+    lines = read_text(path).splitlines()
     if len(lines) < _HEADER_LINES or "PathFileType" not in lines[0]:
         raise bad_line(
             path, 1, "not a TRC file: it does not begin with PathFileType and five lines of header"
@@ -88,8 +89,8 @@ def _cells_as_numbers(
         if any(f.strip() for f in fields[width:]):
             raise bad_line(path, i, f"{len(fields)} cells, expected at most {width}")
         fields = fields[:width] + [""] * (width - len(fields))
-        rows.append([number(path, i, f, "a cell") for f in fields])
-        whole(path, i, fields[0], "the frame")
+        first = [whole(path, i, fields[0], "the frame"), time_of(path, i, fields[1], "the time")]
+        rows.append([*first, *(number(path, i, f, "a cell") for f in fields[2:])])
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 

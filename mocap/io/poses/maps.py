@@ -8,7 +8,6 @@ be taken over honestly (a nose is no top of the head) is left out.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
+from mocap.files import load_toml
 from mocap.io.units import AXES, UNITS
 
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -216,14 +216,7 @@ def read_map(path: Path | str) -> dict[str, SideMap]:
     Landmarks that are not listed are not scored. Raises MocapError with the dotted name of what is wrong.
     """
     path = Path(path)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MocapError(
-            f"the map cannot be read: {error.strerror}", path=path, remedy="check the path"
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise MocapError(f"not TOML: {error}", path=path, remedy="correct the file") from error
+    content = load_toml(path, "the map", remedy="correct the map; docs/metrics.md shows one")
     if unknown := sorted(set(content) - {"estimate", "truth"}):
         raise _bad(path, f"{unknown[0]} is not known; the tables are [estimate] and [truth]")
     return {side: _side(path, side, content.get(side, {})) for side in ("estimate", "truth")}

@@ -26,6 +26,10 @@ _WORLD_FROM = {
 }
 
 
+# Nobody is recorded over more than a thousand kilometres.
+MOST_M = 1e6
+
+
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Motions of a file, still in its unit.
@@ -45,8 +49,14 @@ class Reading:
     notes: tuple[str, ...]
 
     def in_metres(self, unit: str) -> Reading:
-        """The same with lengths in metres, understood as `unit`."""
+        """The same with lengths in metres, understood as `unit`; MocapError for places that no recording reaches."""
         factor = METRES_PER_UNIT[unit]
+        far = max((float(np.nanmax(np.abs(m.landmarks), initial=0.0)) for m in self.motions), default=0.0)
+        if far * factor > MOST_M:
+            raise MocapError(
+                f"a landmark lies at {far:.3g} {unit}; no recording reaches that far",
+                remedy="say the unit of the file, or export it again",
+            )
         if factor == 1.0:
             return replace(self, unit=unit)
         motions = tuple(

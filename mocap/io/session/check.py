@@ -14,7 +14,7 @@ from mocap.io.calibration import calibration_candidates, read_calibration
 from mocap.io.checkerboard import BoardMeasure, Views, find_boards, measure_board
 from mocap.io.session.record import Finding, Session
 from mocap.io.session.sources import sources_in
-from mocap.io.video import clip_info
+from mocap.io.video import clip_info, list_pictures, promised_size, size_error
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,8 @@ _STEP_M = 0.1
 _HEIGHT_M = 2.0
 _MIN_COMMON_M3 = 1.0
 _MIN_BACKGROUND_FRAMES = 5
+# Wrong pictures of one folder that are listed one by one.
+_SHOWN = 3
 
 
 def calibration(session: Session) -> list[Finding]:
@@ -173,6 +175,31 @@ def clips(session: Session) -> list[Finding]:
         )
     ]
     return out
+
+
+def every_picture(session: Session) -> list[Finding]:
+    """Whether all pictures of folders are as large as the calibration says, by their headers."""
+    out = []
+    for sources in (session.image_sources, session.mask_sources, session.background_sources):
+        for name, folder in sources.items():
+            wrong = _wrong_pictures(folder, name, session.rig[name].size) if folder.is_dir() else []
+            out += [Finding("error", error.message, name, error.remedy) for error in wrong[:_SHOWN]]
+            if len(wrong) > _SHOWN:
+                more = f"{len(wrong) - _SHOWN} more pictures of {folder.name}/ are wrong"
+                out.append(Finding("error", more, name, "look at all of them"))
+    return out
+
+
+def _wrong_pictures(folder: Path, camera: str, size: tuple[int, int]) -> list[MocapError]:
+    wrong = []
+    for frame, path in enumerate(list_pictures(folder)):
+        try:
+            found = promised_size(path, camera=camera, frame=frame)
+            if found != size:
+                raise size_error(found, size, path, camera, frame)
+        except MocapError as error:
+            wrong.append(MocapError(f"frame {frame}, {path.name}: {error.message}", remedy=error.remedy))
+    return wrong
 
 
 def background(session: Session) -> list[Finding]:

@@ -103,17 +103,20 @@ def _additions(o: Opening) -> list[Finding]:
 
 def _sizes(o: Opening) -> list[Finding]:
     """Pictures are as large as the calibration says."""
-    o.clips = {n: clip_info(p, camera=n) for n, p in (o.images or o.masks).items()}
+    sizes = {c.name: c.size for c in o.rig if c.name not in o.calibration.guessed_sizes}
+    o.clips = {n: clip_info(p, camera=n, size=sizes.get(n)) for n, p in (o.images or o.masks).items()}
     o.rig = rig_with_true_sizes(o.rig, o.calibration, o.clips)
     for name, clip in o.clips.items():
         check_clip_size(clip, o.rig[name])
     for name in o.rig.names:
         if name in o.sources.background:
-            check_clip_size(clip_info(o.sources.background[name], camera=name), o.rig[name])
+            check_clip_size(
+                clip_info(o.sources.background[name], camera=name, size=o.rig[name].size), o.rig[name]
+            )
     o.counted = dict(o.clips)
     if o.images:
         for name, path in o.masks.items():
-            clip = clip_info(path, camera=name)
+            clip = clip_info(path, camera=name, size=o.rig[name].size)
             check_clip_size(clip, o.rig[name])
             o.counted[f"{name} (masks)"] = clip
     return []
@@ -148,6 +151,7 @@ CHECKING: tuple[Callable[[Session], list[Finding]], ...] = (
     check.warnings,
     check.geometry,
     check.clips,
+    check.every_picture,
     check.background,
     check.calibration_quality,
 )

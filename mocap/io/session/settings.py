@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mocap.errors import MocapError
+from mocap.files import load_toml
 from mocap.io.units import AXES, UNITS, unit_from_word
 
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -57,12 +57,7 @@ def read_session_settings(path: Path | str) -> SessionSettings:
     path = Path(path)
     if not path.exists():
         return SessionSettings()
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise MocapError(
-            f"session.toml cannot be read: {error}", path=path, remedy="correct the file"
-        ) from error
+    document = load_toml(path, "session.toml")
     known = list(SessionSettings.__dataclass_fields__)
     for key in document:
         if key not in known:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mocap.errors import MocapError
+from mocap.files import load_toml
 from mocap.pipeline.config import presets
 
 MAX_CELLS = 100_000
@@ -65,14 +65,7 @@ def read_sweep_spec(path: Path | str) -> SweepSpec:
     Raises MocapError naming the key for anything that is not understood, and for sessions that do not exist.
     """
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise MocapError(
-            f"the sweep cannot be read: {error}", path=path, remedy="give a TOML file; see docs/cluster.md"
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise MocapError(f"not a TOML file: {error}", path=path, remedy="correct the syntax") from error
+    document = load_toml(path, "the sweep", remedy="give a TOML file; see docs/cluster.md")
     for key in document:
         if key not in _KEYS:
             raise _bad(path, key, f"is not known; known keys are {', '.join(_KEYS)}")

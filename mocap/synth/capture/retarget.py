@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, binary_opening, gaussian_filter1d
 
 from mocap.errors import MocapError
+from mocap.files import load_toml
 from mocap.synth.capture.asf_amc import read_amc
 from mocap.synth.capture.bvh import read_bvh
 from mocap.synth.capture.recording import Recording
@@ -56,12 +56,7 @@ class JointMap:
 def read_map(path: Path | str) -> JointMap:
     """A mapping file. Raises MocapError with the key for one that cannot be read or understood."""
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise MocapError(
-            f"the joint map cannot be read: {error}", path=path, remedy="correct the file"
-        ) from error
+    document = load_toml(path, "the joint map")
 
     mistake = next(_mistakes(document), None)
     if mistake is not None:
