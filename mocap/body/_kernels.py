@@ -3,16 +3,47 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+
+class Chain(NamedTuple):
+    """The tree of joints.  parent : (J,), -1 for the root.  offset : (J, 3) m in the parent's frame.  dof_joint,
+    dof_axis, dof_column : one row per rotation in the order of application along the chain; axis 0, 1, 2 = x, y, z."""
+
+    parent: NDArray[np.int64]
+    offset: NDArray[np.float64]
+    dof_joint: NDArray[np.int64]
+    dof_axis: NDArray[np.int64]
+    dof_column: NDArray[np.int64]
+
+
+class ConeArrays(NamedTuple):
+    """Flesh in joint frames.  start, end : (K, 3) m.  radii : (K, 2) m.  joint, part : (K,)."""
+
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    joint: NDArray[np.int64]
+    part: NDArray[np.int64]
+
+
+class BodyArrays(NamedTuple):
+    """A body as kernels take it.  moves : (J, n_dofs) bool, which rotations move which joint frame."""
+
+    chain: Chain
+    moves: NDArray[np.bool_]
+    cones: ConeArrays
 
 
 @njit(cache=True, nogil=True)
 def forward_kinematics(state, parent, offset, dof_joint, dof_axis, dof_column, R, t):
     """Fill R (J, 3, 3) and t (J, 3), joint frame to world, of one state (D,); columns 0..2 are the root.
 
-    dof_* : one row per rotation in the order of application along the chain; axis 0, 1, 2 = x, y, z.
+    The chain comes array by array: filters call this in their innermost loop.
     """
     n_joints = parent.shape[0]
     d = 0
@@ -49,15 +80,17 @@ def forward_kinematics(state, parent, offset, dof_joint, dof_axis, dof_column, R
 
 
 @njit(cache=True, nogil=True)
-def transforms_kernel(states, parent, offset, dof_joint, dof_axis, dof_column, R, t):
+def transforms_kernel(states, chain, R, t):
     """Joint transforms of many states (N, D) into R (N, J, 3, 3), t (N, J, 3)."""
+    parent, offset, dof_joint, dof_axis, dof_column = chain
     for n in range(states.shape[0]):
         forward_kinematics(states[n], parent, offset, dof_joint, dof_axis, dof_column, R[n], t[n])
 
 
 @njit(cache=True, nogil=True)
-def chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes):
+def chain_axes(state, chain, R, t, axes):
     """Joint transforms, and the world direction of every rotation axis, axes (n_dofs, 3)."""
+    parent, offset, dof_joint, dof_axis, dof_column = chain
     forward_kinematics(state, parent, offset, dof_joint, dof_axis, dof_column, R, t)
     M = np.empty((3, 3))
     for d in range(dof_joint.shape[0]):

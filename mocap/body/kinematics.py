@@ -24,7 +24,7 @@ def joint_transforms(body: Body, states: Array) -> tuple[Array, Array]:
         raise ValueError(f"states has shape {s.shape}, expected (N, {body.layout.n_columns})")
     R = np.empty((len(s), len(body.joints), 3, 3))
     t = np.empty((len(s), len(body.joints), 3))
-    transforms_kernel(s, *body.chain, R, t)
+    transforms_kernel(s, body.chain, R, t)
     return R, t
 
 
@@ -87,7 +87,7 @@ def point_jacobian(
     these by the state, and the rotations (J, 3, 3) of all joints."""
     J = len(body.joints)
     R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
-    chain_axes(np.ascontiguousarray(state, dtype=np.float64), *body.chain, R, t, axes)
+    chain_axes(np.ascontiguousarray(state, dtype=np.float64), body.chain, R, t, axes)
     points = np.einsum("mrc,mc->mr", R[joint], offset) + t[joint]
     out = np.zeros((len(points), 3, body.layout.n_columns))
     out[:, :, :3] = np.eye(3)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
 
+from mocap.body._kernels import BodyArrays, Chain, ConeArrays
 from mocap.data.motion import LANDMARKS
 from mocap.data.problem import StateLayout
 from mocap.errors import MocapError
@@ -108,9 +109,9 @@ class Cones:
     part: NDArray[np.int64]
 
     @property
-    def kernel_arrays(self) -> tuple[NDArray[np.generic], ...]:
-        """The arrays that kernels take, in their order."""
-        return self.start, self.end, self.radii, self.joint, self.part
+    def arrays(self) -> ConeArrays:
+        """The cones as kernels take them."""
+        return ConeArrays(self.start, self.end, self.radii, self.joint, self.part)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +148,14 @@ class Body:
     exclusive: bool
 
     @property
-    def chain(self) -> tuple[NDArray[np.generic], ...]:
-        """The arrays that the kinematics kernels take, in their order."""
-        return self.parent, self.offset, self.dof_joint, self.dof_axis, self.dof_column
+    def chain(self) -> Chain:
+        """The tree of joints as kernels take it."""
+        return Chain(self.parent, self.offset, self.dof_joint, self.dof_axis, self.dof_column)
+
+    @cached_property
+    def arrays(self) -> BodyArrays:
+        """The whole body as kernels take it."""
+        return BodyArrays(self.chain, self.moves, self.cones.arrays)
 
     @cached_property
     def is_position(self) -> NDArray[np.bool_]:

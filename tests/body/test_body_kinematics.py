@@ -73,7 +73,7 @@ def test_python_twin_of_the_kernels() -> None:
     np.testing.assert_allclose(R_py, R, atol=1e-13)
     np.testing.assert_allclose(t_py, t, atol=1e-13)
     R_py[:], t_py[:] = 0, 0
-    transforms_kernel.py_func(states, *body.chain, R_py, t_py)
+    transforms_kernel.py_func(states, body.chain, R_py, t_py)
     np.testing.assert_allclose(t_py, t, atol=1e-13)
 
 

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from mocap.body import Body, joint_transforms, neutral_state
 from mocap.likelihood.residuals import _pull_kernels as kernels
-from mocap.likelihood.residuals._surface_kernels import nearest_in_blocks, sort_into_blocks
+from mocap.likelihood.residuals._surface_kernels import Blocks, nearest_in_blocks, sort_into_blocks
 
 STEP = 1e-6
 
@@ -24,13 +24,13 @@ def gathered(
 ):
     J, D = len(body.joints), body.layout.n_columns
     R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
-    kernels.chain_axes(state, *body.chain, R, t, axes)
+    kernels.chain_axes(state, body.chain, R, t, axes)
     placed = np.empty_like(local)
     kernels.place_points(local, joint, R, t, placed)
     pulls, H, g = np.zeros((J, 7, 6)), np.zeros((D, D)), np.zeros(D)
     for x, direction, residual, j in zip(placed, n, r, joint, strict=True):
-        kernels.add_pull(*x, *direction, residual, 0.7, j, pulls)
-    kernels.spread_pulls(pulls, body.parent, t, axes, body.dof_joint, body.dof_column, body.moves, H, g)
+        kernels.add_pull(tuple(x), tuple(direction), residual, 0.7, j, pulls)
+    kernels.spread_pulls(pulls, body.arrays, t, axes, H, g)
     return placed, H, g
 
 
@@ -80,7 +80,8 @@ def test_the_nearest_point_is_that_of_a_search_tree(side: float) -> None:
     low = points.min(axis=0)
     shape = np.floor((points.max(axis=0) - low) / side).astype(np.int64) + 1
     first, rows = np.empty(int(shape.prod()) + 1, np.int64), np.empty(len(points), np.int64)
-    sort_into_blocks(points, low, side, shape, first, rows)
+    blocks = Blocks(low, side, shape, first, rows)
+    sort_into_blocks(points, blocks)
     assert np.array_equal(np.sort(rows), np.arange(len(points)))
     asked = np.concatenate(
         [
@@ -90,7 +91,7 @@ def test_the_nearest_point_is_that_of_a_search_tree(side: float) -> None:
         ]
     )
     expected = cKDTree(points).query(asked)[1]
-    found = [nearest_in_blocks(*a, points, low, side, shape, first, rows) for a in asked]
+    found = [nearest_in_blocks(a, points, blocks) for a in asked]
     assert found == expected.tolist()
 
 
@@ -100,18 +101,18 @@ def test_compiled_and_plain_python_agree(coarse_flesh: Flesh) -> None:
     pulls = rng.normal(size=(len(body.joints), 7, 6))
     J = len(body.joints)
     R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
-    kernels.chain_axes(posed(body), *body.chain, R, t, axes)
+    kernels.chain_axes(posed(body), body.chain, R, t, axes)
     D = body.layout.n_columns
-    rest = (body.parent, t, axes, body.dof_joint, body.dof_column, body.moves)
     both = []
     for spread in (kernels.spread_pulls, kernels.spread_pulls.py_func):
         H, g = np.zeros((D, D)), np.zeros(D)
-        spread(pulls.copy(), *rest, H, g)
+        spread(pulls.copy(), body.arrays, t, axes, H, g)
         both.append((H, g))
     np.testing.assert_allclose(both[0][0], both[1][0], rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(both[0][1], both[1][1], rtol=1e-12, atol=1e-9)
     a, b = np.zeros((2, 7, 6)), np.zeros((2, 7, 6))
     numbers = rng.normal(size=8)
-    kernels.add_pull(*numbers, 1, a)
-    kernels.add_pull.py_func(*numbers, 1, b)
+    pull = (tuple(numbers[:3]), tuple(numbers[3:6]), *numbers[6:])
+    kernels.add_pull(*pull, 1, a)
+    kernels.add_pull.py_func(*pull, 1, b)
     np.testing.assert_allclose(a, b, rtol=1e-12)

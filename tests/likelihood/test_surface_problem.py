@@ -171,7 +171,7 @@ def test_axes_are_the_derivatives_of_the_frames(coarse_flesh: Flesh) -> None:
     state = bent(body)
     J, d_n = len(body.joints), len(body.dof_joint)
     R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((d_n, 3))
-    chain_axes(state, *body.chain, R, t, axes)
+    chain_axes(state, body.chain, R, t, axes)
     R_ref, t_ref = joint_transforms(body, state[None])
     np.testing.assert_allclose(R, R_ref[0], atol=1e-12)
     np.testing.assert_allclose(t, t_ref[0], atol=1e-12)

@@ -2,10 +2,50 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 _SLIP_ROUNDS = 4
+
+
+class Projected(NamedTuple):
+    """Markers in all views.  uv : (M, C, 2) px.  depth : (M, C) m.  in_view : (M, C) bool, whether the picture holds
+    it."""
+
+    uv: NDArray[np.float64]
+    depth: NDArray[np.float64]
+    in_view: NDArray[np.bool_]
+
+
+class Belief(NamedTuple):
+    """What a detection is worth against the prediction.  std_m : how far off a predicted marker may be.  noise_px : of
+    a detection.  worth : (C,) nats that a detection exactly on the point is worth against clutter."""
+
+    std_m: float
+    noise_px: float
+    worth: NDArray[np.float64]
+
+
+class RobustNoise(NamedTuple):
+    """Noise of a detection, px, and the error in standard deviations at which it loses three quarters of its pull
+    (Geman-McClure)."""
+
+    noise_px: float
+    scale: float
+
+
+class Movement(NamedTuple):
+    """How a body in one pose can move.  t : (J, 3) m and axes : (n_dofs, 3), of `chain_axes`.  dof_joint, dof_column :
+    (n_dofs,).  moves : (J, n_dofs) bool, which rotations move which joint frame."""
+
+    t: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    dof_joint: NDArray[np.int64]
+    dof_column: NDArray[np.int64]
+    moves: NDArray[np.bool_]
 
 
 @njit(cache=True, nogil=True)
@@ -104,83 +144,60 @@ def _solve3(N, h, x):
 
 
 @njit(cache=True, nogil=True)
-def agreeing_detections(
-    points, std_m, in_view, projected, gate, P, is_pair, uv, first, noise_px, worth, chosen
-):
-    """Fill chosen (M, C): detections that agree on one point near the predicted marker, -1 = none.
+def _detections_near(m, seen, detections, gate, near, near_first):
+    """Detections within the gate of a marker's projections, view by view, into near (Q,) and near_first (C + 1,)."""
+    uv, first = detections
+    n_views = near_first.shape[0] - 1
+    n = 0
+    for c in range(n_views):
+        near_first[c] = n
+        if not seen.in_view[m, c]:
+            continue
+        for q in range(first[c], first[c + 1]):
+            du = seen.uv[m, c, 0] - uv[q, 0]
+            dv = seen.uv[m, c, 1] - uv[q, 1]
+            if du * du + dv * dv < gate[m, c] * gate[m, c]:
+                near[n] = q
+                n += 1
+    near_first[n_views] = n
 
-    points : (M, 3) m, predicted.  std_m : (M,) how far off the prediction may be.  gate : (M, C) px around its
-    projection.  worth : (C,) nats that a detection exactly on the point is worth against clutter.
-    Every two detections inside the gates propose a point. Its score is the worth of all views' detections less half
-    their squared errors, less half the squared distance to the prediction, in standard deviations; the best point
-    with a positive score and two views or more is taken.
-    """
-    n_markers, n_views = in_view.shape
-    inverse_2 = 1.0 / (noise_px * noise_px)
-    x = np.empty(3)
-    near = np.empty(uv.shape[0], np.int64)
-    near_first = np.empty(n_views + 1, np.int64)
-    trial = np.empty(n_views, np.int64)
-    owner = np.full(uv.shape[0], -1)
-    score = np.zeros(n_markers)
-    for m in range(n_markers):
-        n = 0
-        for c in range(n_views):
-            near_first[c] = n
-            chosen[m, c] = -1
-            if not in_view[m, c]:
-                continue
-            for q in range(first[c], first[c + 1]):
-                du = projected[m, c, 0] - uv[q, 0]
-                dv = projected[m, c, 1] - uv[q, 1]
-                if du * du + dv * dv < gate[m, c] * gate[m, c]:
-                    near[n] = q
-                    n += 1
-        near_first[n_views] = n
-        for i in range(n_views):
-            for j in range(i + 1, n_views):
-                if not is_pair[i, j]:
-                    continue
-                for a in range(near_first[i], near_first[i + 1]):
-                    for b in range(near_first[j], near_first[j + 1]):
-                        q = near[a]
-                        r = near[b]
-                        if not _two_view_point(P[i], uv[q, 0], uv[q, 1], P[j], uv[r, 0], uv[r, 1], x):
-                            continue
-                        d_2 = 0.0
-                        for k in range(3):
-                            d_2 += (x[k] - points[m, k]) ** 2
-                        total = -0.5 * d_2 / (std_m[m] * std_m[m])
-                        if total < -4.5:
-                            continue
-                        n_agree = 0
-                        for c in range(n_views):
-                            trial[c] = -1
-                            if near_first[c] == near_first[c + 1]:
-                                continue
-                            w = P[c, 2, 0] * x[0] + P[c, 2, 1] * x[1] + P[c, 2, 2] * x[2] + P[c, 2, 3]
-                            if not w > 1e-6:
-                                continue
-                            u = (P[c, 0, 0] * x[0] + P[c, 0, 1] * x[1] + P[c, 0, 2] * x[2] + P[c, 0, 3]) / w
-                            v = (P[c, 1, 0] * x[0] + P[c, 1, 1] * x[1] + P[c, 1, 2] * x[2] + P[c, 1, 3]) / w
-                            best = worth[c]
-                            for e in range(near_first[c], near_first[c + 1]):
-                                du = u - uv[near[e], 0]
-                                dv = v - uv[near[e], 1]
-                                half = 0.5 * (du * du + dv * dv) * inverse_2
-                                if half < best:
-                                    best = half
-                                    trial[c] = near[e]
-                            if trial[c] >= 0:
-                                total += worth[c] - best
-                                n_agree += 1
-                        if n_agree >= 2 and total > score[m]:
-                            score[m] = total
-                            for c in range(n_views):
-                                chosen[m, c] = trial[c]
-    # A detection serves one marker: the one whose point has more behind it.
-    for m in range(n_markers):
-        for c in range(n_views):
+
+@njit(cache=True, nogil=True)
+def _agreement(x, total, P, uv, near, near_first, belief, trial):
+    """Score of a point x (3,), from `total` on, and the number of views that agree on it; their detections into trial
+    (C,), -1 = none."""
+    inverse_2 = 1.0 / (belief.noise_px * belief.noise_px)
+    worth = belief.worth
+    n_agree = 0
+    for c in range(trial.shape[0]):
+        trial[c] = -1
+        if near_first[c] == near_first[c + 1]:
+            continue
+        w = P[c, 2, 0] * x[0] + P[c, 2, 1] * x[1] + P[c, 2, 2] * x[2] + P[c, 2, 3]
+        if not w > 1e-6:
+            continue
+        u = (P[c, 0, 0] * x[0] + P[c, 0, 1] * x[1] + P[c, 0, 2] * x[2] + P[c, 0, 3]) / w
+        v = (P[c, 1, 0] * x[0] + P[c, 1, 1] * x[1] + P[c, 1, 2] * x[2] + P[c, 1, 3]) / w
+        best = worth[c]
+        for e in range(near_first[c], near_first[c + 1]):
+            du = u - uv[near[e], 0]
+            dv = v - uv[near[e], 1]
+            half = 0.5 * (du * du + dv * dv) * inverse_2
+            if half < best:
+                best = half
+                trial[c] = near[e]
+        if trial[c] >= 0:
+            total += worth[c] - best
+            n_agree += 1
+    return total, n_agree
+
+
+@njit(cache=True, nogil=True)
+def _give_to_one(chosen, score, n_detections):
+    """A detection serves one marker: the one whose point has more behind it.  chosen : (M, C).  score : (M,)."""
+    owner = np.full(n_detections, -1)
+    for m in range(chosen.shape[0]):
+        for c in range(chosen.shape[1]):
             q = chosen[m, c]
             if q < 0:
                 continue
@@ -194,21 +211,95 @@ def agreeing_detections(
 
 
 @njit(cache=True, nogil=True)
-def marker_pulls(slack_m, noise_px, P, uv, in_view, chosen, projected, depth, scale, information, gradient):
+def agreeing_detections(points, seen, gate, P, is_pair, detections, belief, chosen):
+    """Fill chosen (M, C): detections that agree on one point near the predicted marker, -1 = none.
+
+    points : (M, 3) m, predicted.  seen : Projected, theirs.  gate : (M, C) px around its projection.
+    Every two detections inside the gates propose a point. Its score is the worth of all views' detections less half
+    their squared errors, less half the squared distance to the prediction, in standard deviations; the best point
+    with a positive score and two views or more is taken.
+    """
+    uv = detections.uv
+    n_markers, n_views = chosen.shape
+    x = np.empty(3)
+    near = np.empty(uv.shape[0], np.int64)
+    near_first = np.empty(n_views + 1, np.int64)
+    trial = np.empty(n_views, np.int64)
+    score = np.zeros(n_markers)
+    chosen[:] = -1
+    for m in range(n_markers):
+        _detections_near(m, seen, detections, gate, near, near_first)
+        for i in range(n_views):
+            for j in range(i + 1, n_views):
+                if not is_pair[i, j]:
+                    continue
+                for q in near[near_first[i] : near_first[i + 1]]:
+                    for r in near[near_first[j] : near_first[j + 1]]:
+                        if not _two_view_point(P[i], uv[q, 0], uv[q, 1], P[j], uv[r, 0], uv[r, 1], x):
+                            continue
+                        d_2 = 0.0
+                        for k in range(3):
+                            d_2 += (x[k] - points[m, k]) ** 2
+                        total = -0.5 * d_2 / (belief.std_m * belief.std_m)
+                        if total < -4.5:
+                            continue
+                        total, n_agree = _agreement(x, total, P, uv, near, near_first, belief, trial)
+                        if n_agree >= 2 and total > score[m]:
+                            score[m] = total
+                            chosen[m] = trial
+    _give_to_one(chosen, score, uv.shape[0])
+
+
+@njit(cache=True, nogil=True)
+def _pull_of_views(m, seen, detections_of, P, noise, slip, A, b):
+    """Robust cost of one marker's detections at a slip (3,) m of it; fills their matrix A (3, 3) and gradient b (3,).
+
+    detections_of : (uv, chosen).
+    """
+    uv, chosen = detections_of
+    projected, depth, in_view = seen
+    J = np.empty((2, 3))
+    inverse_2 = 1.0 / (noise.noise_px * noise.noise_px)
+    scale_2 = noise.scale * noise.scale
+    A[:] = 0.0
+    b[:] = 0.0
+    cost = 0.0
+    for c in range(P.shape[0]):
+        if not in_view[m, c] or chosen[m, c] < 0:
+            continue
+        q = chosen[m, c]
+        error_2 = 0.0
+        for k in range(2):
+            residual = projected[m, c, k] - uv[q, k]
+            for r in range(3):
+                J[k, r] = (P[c, k, r] - projected[m, c, k] * P[c, 2, r]) / depth[m, c]
+                residual += J[k, r] * slip[r]
+            error_2 += residual * residual * inverse_2
+        share = scale_2 / (scale_2 + error_2)
+        cost += 0.5 * scale_2 * (1.0 - share)
+        weight = share * share * inverse_2
+        for k in range(2):
+            residual = projected[m, c, k] - uv[q, k]
+            for r in range(3):
+                b[r] += weight * J[k, r] * residual
+                for e in range(3):
+                    A[r, e] += weight * J[k, r] * J[k, e]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def marker_pulls(P, seen, uv, chosen, slack_m, noise, information, gradient):
     """Robust cost of the chosen detections, and its matrix (M, 3, 3) and gradient (M, 3) at every marker's point.
 
-    scale : error in standard deviations at which a detection loses three quarters of its pull (Geman-McClure); a
-    marker in view without a detection costs the limit of that, scale^2 / 2. A marker slips against its part by a
-    Gaussian displacement of standard deviation slack_m (M,), the same in all views: the most likely slip counts.
+    seen : Projected.  chosen : (M, C) rows of uv, -1 = none.  noise : RobustNoise.  A marker in view without a
+    detection costs the limit of the robust cost, scale^2 / 2. A marker slips against its part by a Gaussian
+    displacement of standard deviation slack_m (M,), the same in all views: the most likely slip counts.
     """
     A = np.empty((3, 3))
     S = np.empty((3, 3))
     b = np.empty(3)
     x = np.empty(3)
     slip = np.empty(3)
-    J = np.empty((2, 3))
-    inverse_2 = 1.0 / (noise_px * noise_px)
-    scale_2 = scale * scale
     cost = 0.0
     for m in range(slack_m.shape[0]):
         s_2 = slack_m[m] * slack_m[m]
@@ -216,44 +307,21 @@ def marker_pulls(slack_m, noise_px, P, uv, in_view, chosen, projected, depth, sc
         gradient[m] = 0.0
         n_seen = 0
         for c in range(P.shape[0]):
-            if in_view[m, c] and chosen[m, c] < 0:
-                cost += 0.5 * scale_2
-            elif in_view[m, c]:
+            if seen.in_view[m, c] and chosen[m, c] < 0:
+                cost += 0.5 * (noise.scale * noise.scale)
+            elif seen.in_view[m, c]:
                 n_seen += 1
         if n_seen == 0:
             continue
         slip[:] = 0.0
         own = 0.0
         for _ in range(_SLIP_ROUNDS if s_2 > 0.0 else 1):
-            A[:] = 0.0
-            b[:] = 0.0
-            own = 0.0
-            for c in range(P.shape[0]):
-                if not in_view[m, c] or chosen[m, c] < 0:
-                    continue
-                q = chosen[m, c]
-                error_2 = 0.0
-                for k in range(2):
-                    residual = projected[m, c, k] - uv[q, k]
-                    for r in range(3):
-                        J[k, r] = (P[c, k, r] - projected[m, c, k] * P[c, 2, r]) / depth[m, c]
-                        residual += J[k, r] * slip[r]
-                    error_2 += residual * residual * inverse_2
-                share = scale_2 / (scale_2 + error_2)
-                own += 0.5 * scale_2 * (1.0 - share)
-                weight = share * share * inverse_2
-                for k in range(2):
-                    residual = projected[m, c, k] - uv[q, k]
-                    for r in range(3):
-                        b[r] += weight * J[k, r] * residual
-                        for e in range(3):
-                            A[r, e] += weight * J[k, r] * J[k, e]
+            own = _pull_of_views(m, seen, (uv, chosen), P, noise, slip, A, b)
             # S = I + s^2 A; with the slip integrated out, S^-1 A is the point's information and S^-1 b its gradient.
-            for r in range(3):
-                if s_2 > 0.0:
+            if s_2 > 0.0:
+                for r in range(3):
                     own += 0.5 * slip[r] * slip[r] / s_2
-                for e in range(3):
-                    S[r, e] = (1.0 if r == e else 0.0) + s_2 * A[r, e]
+            _slipping(A, s_2, S)
             _solve3(S, b, gradient[m])
             for r in range(3):
                 slip[r] = -s_2 * gradient[m, r]
@@ -266,8 +334,17 @@ def marker_pulls(slack_m, noise_px, P, uv, in_view, chosen, projected, depth, sc
 
 
 @njit(cache=True, nogil=True)
-def add_pulls(points, joint, information, gradient, t, axes, dof_joint, dof_column, moves, H, g):
+def _slipping(A, s_2, S):
+    """S = I + s^2 A, (3, 3)."""
+    for r in range(3):
+        for e in range(3):
+            S[r, e] = (1.0 if r == e else 0.0) + s_2 * A[r, e]
+
+
+@njit(cache=True, nogil=True)
+def add_pulls(points, joint, information, gradient, movement, H, g):
     """Carry information (K, 3, 3) and gradient (K, 3) at points (K, 3), rigid with joints, over to the state."""
+    t, axes, dof_joint, dof_column, moves = movement
     n_dofs = dof_joint.shape[0]
     columns = np.empty(n_dofs + 3, np.int64)
     V = np.empty((n_dofs + 3, 3))

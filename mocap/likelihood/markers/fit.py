@@ -12,6 +12,10 @@ from mocap.body.markers import Markers, marker_positions
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.likelihood.markers._fit_kernels import (
+    Belief,
+    Movement,
+    Projected,
+    RobustNoise,
     add_pulls,
     agreeing_detections,
     marker_pulls,
@@ -86,23 +90,14 @@ class MarkerFitProblem:
         """
         points = marker_positions(self.body, self.markers, state[None])[0]
         views, observation, settings = self.observation.views, self.observation, self.settings
-        projected, depth, in_view = self._project(points)
-        gate = settings.reach_m * views.focal / np.maximum(depth, 1e-3)
-        nearest, agreeing = np.empty(depth.shape, dtype=np.int64), np.empty(depth.shape, dtype=np.int64)
-        nearest_detections(projected, in_view, observation.uv, observation.first, gate, nearest)
+        seen = self._project(points)
+        gate = self._gate(seen)
+        nearest, agreeing = np.empty(gate.shape, dtype=np.int64), np.empty(gate.shape, dtype=np.int64)
+        nearest_detections(seen.uv, seen.in_view, *observation.detections, gate, nearest)
+        noise = settings.noise_px
+        belief = Belief(settings.reach_m / 3.0, noise, observation.worth(noise))
         agreeing_detections(
-            points,
-            np.full(len(points), settings.reach_m / 3.0),
-            in_view,
-            projected,
-            gate,
-            views.P,
-            views.is_pair,
-            observation.uv,
-            observation.first,
-            settings.noise_px,
-            observation.worth(settings.noise_px),
-            agreeing,
+            points, seen, gate, views.P, views.is_pair, observation.detections, belief, agreeing
         )
         # The last entry stands for "no detection".
         is_taken = np.zeros(len(observation.uv) + 1, dtype=np.bool_)
@@ -111,41 +106,34 @@ class MarkerFitProblem:
         alone = np.asarray((agreeing < 0).all(axis=1))
         nearest[is_taken[nearest]] = -1
         chosen = np.where(alone[:, None], nearest, agreeing)
-        return replace(self, matches=Matches(chosen, in_view))
+        return replace(self, matches=Matches(chosen, seen.in_view))
 
-    def _project(self, points: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _project(self, points: Array) -> Projected:
+        shape = (len(points), self.observation.views.n_views)
+        seen = Projected(np.full((*shape, 2), np.nan), np.empty(shape), np.empty(shape, dtype=np.bool_))
         views = self.observation.views
-        shape = (len(points), views.n_views)
-        projected, depth = np.full((*shape, 2), np.nan), np.empty(shape)
-        in_view = np.empty(shape, dtype=np.bool_)
-        project_markers(points, views.P, views.lower, views.upper, projected, depth, in_view)
-        return projected, depth, in_view
+        project_markers(points, views.P, views.lower, views.upper, *seen)
+        return seen
+
+    def _gate(self, seen: Projected) -> Array:
+        """How far from its projection a marker's detection may be, (M, C) px."""
+        return self.settings.reach_m * self.observation.views.focal / np.maximum(seen.depth, 1e-3)
 
     def pulls(self, points: Array) -> tuple[float, Array, Array]:
         """Robust cost of markers at points (M, 3) m, world, its matrix (M, 3, 3) and its gradient (M, 3) there."""
-        views, observation, settings = self.observation.views, self.observation, self.settings
-        projected, depth, in_view = self._project(points)
+        observation, settings = self.observation, self.settings
+        seen = self._project(points)
         if self.matches is not None:
             # A fixed set of views: a marker must not gain by leaving the picture.
-            chosen, in_view = self.matches.chosen, self.matches.in_view & (depth > 1e-6)
+            chosen = self.matches.chosen
+            seen = seen._replace(in_view=self.matches.in_view & (seen.depth > 1e-6))
         else:
-            chosen = np.empty(depth.shape, dtype=np.int64)
-            gate = settings.reach_m * views.focal / np.maximum(depth, 1e-3)
-            nearest_detections(projected, in_view, observation.uv, observation.first, gate, chosen)
+            chosen = np.empty(seen.depth.shape, dtype=np.int64)
+            nearest_detections(seen.uv, seen.in_view, *observation.detections, self._gate(seen), chosen)
         information, gradient = np.empty((len(points), 3, 3)), np.empty((len(points), 3))
-        cost = marker_pulls(
-            self.slack_m,
-            settings.noise_px,
-            views.P,
-            observation.uv,
-            in_view,
-            chosen,
-            projected,
-            depth,
-            settings.scale,
-            information,
-            gradient,
-        )
+        noise = RobustNoise(settings.noise_px, settings.scale)
+        P, uv, slack = observation.views.P, observation.uv, self.slack_m
+        cost = marker_pulls(P, seen, uv, chosen, slack, noise, information, gradient)
         return float(cost), information, gradient
 
     def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
@@ -157,11 +145,10 @@ class MarkerFitProblem:
         D, J = body.layout.n_columns, len(body.joints)
         H, g = np.zeros((D, D)), np.zeros(D)
         R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
-        chain_axes(np.ascontiguousarray(state, dtype=np.float64), *body.chain, R, t, axes)
+        chain_axes(np.ascontiguousarray(state, dtype=np.float64), body.chain, R, t, axes)
         joint = self.markers.joint
         points = np.einsum("mrc,mc->mr", R[joint], self.markers.offset) + t[joint]
         cost, information, gradient = self.pulls(points)
-        add_pulls(
-            points, joint, information, gradient, t, axes, body.dof_joint, body.dof_column, body.moves, H, g
-        )
+        movement = Movement(t, axes, body.dof_joint, body.dof_column, body.moves)
+        add_pulls(points, joint, information, gradient, movement, H, g)
         return cost, H, g

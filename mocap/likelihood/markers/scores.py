@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,10 @@ from mocap.data.propagation import truncated_gaussian_step
 from mocap.geometry.epipolar import symmetric_epipolar_distance
 from mocap.likelihood.markers._score_kernels import (
     OUT_OF_REACH_PX,
+    Candidates,
+    Cells,
+    MarkerPoints,
+    Search,
     closest_cells,
     epipolar_table,
     marker_scores_kernel,
@@ -48,33 +51,19 @@ class MarkerLikelihoodSettings:
             raise ValueError(f"reprojection_weight must lie in [0, 1], got {self.reprojection_weight}")
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """Per frame, what the kernel looks up: distances of pairs, and who can be the closest detection in a cell."""
-
-    uv: Array
-    table: NDArray[np.float32]
-    n_cells: Indices
-    cell_first: Indices
-    start: NDArray[np.uint32]
-    stop: NDArray[np.uint32]
-    member: NDArray[np.uint32]
-
-
-def _prepare(observation: MarkerObservation, settings: MarkerLikelihoodSettings) -> _Search:
-    views, first = observation.views, observation.first
-    uv = np.vstack([observation.uv, np.full((1, 2), OUT_OF_REACH_PX)])
+def _prepare(observation: MarkerObservation, settings: MarkerLikelihoodSettings) -> Search:
+    views, detections = observation.views, observation.detections
     Q = len(observation.uv)
     table = np.empty((Q, Q) if settings.reprojection_weight < 1 else (0, 0), dtype=np.float32)
     if table.size:
-        epipolar_table(views.F, views.is_pair, uv, first, table)
+        epipolar_table(views.F, views.is_pair, detections, table)
     n_cells = np.floor((views.upper - views.lower) / _CELL_PX).astype(np.int64) + 1
     cell_first = np.concatenate([[0], np.cumsum(n_cells.prod(axis=1))]).astype(np.int64)
+    cells = Cells(views.lower, n_cells, cell_first, _CELL_PX)
     start, stop = (np.empty(cell_first[-1] + 1, dtype=np.uint32) for _ in range(2))
-    member = closest_cells(
-        uv, first, views.lower, n_cells, cell_first, _CELL_PX, settings.gate_px, start, stop
-    )
-    return _Search(uv, table, n_cells, cell_first, start, stop, member)
+    member = closest_cells(detections, cells, settings.gate_px, start, stop)
+    uv = np.vstack([observation.uv, np.full((1, 2), OUT_OF_REACH_PX)])
+    return Search(uv, table, cells, Candidates(start, stop, member))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +80,7 @@ class MarkerProblem:
     markers: Markers
     observation: MarkerObservation
     settings: MarkerLikelihoodSettings
-    _search: _Search = field(init=False, repr=False)
+    _search: Search = field(init=False, repr=False)
     _share: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -120,28 +109,17 @@ class MarkerProblem:
         joint, offset = self.markers.joint, self.markers.offset
         if rows is not None:
             joint, offset = joint[rows], offset[rows]
-        views, search, settings = self.observation.views, self._search, self.settings
         out = np.empty((len(s), len(joint)))
-        arguments: tuple[Any, ...] = (
-            *self.body.chain,
-            joint,
-            offset,
-            views.P,
-            views.lower,
-            views.upper,
-            search.uv,
-            self.observation.first,
-            search.table,
-            search.n_cells,
-            search.cell_first,
-            _CELL_PX,
-            search.start,
-            search.stop,
-            search.member,
-            settings.gate_px,
-            settings.reprojection_weight,
+        marker_scores_kernel(
+            s,
+            self.body.chain,
+            MarkerPoints(joint, offset),
+            self.observation.views.projections,
+            self._search,
+            self.settings.gate_px,
+            self.settings.reprojection_weight,
+            out,
         )
-        marker_scores_kernel(s, *arguments, out)
         return out
 
     def log_likelihood(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,22 @@ Indices = NDArray[np.int64]
 
 _SMALLEST_BOX_PX = 30.0
 _BORDER_SAMPLES = 9  # points per side of a picture that tell how far it reaches without distortion
+
+
+class Projections(NamedTuple):
+    """Views as kernels take them.  P : (C, 3, 4), world (m) to undistorted px.  lower, upper : (C, 2) px."""
+
+    P: Array
+    lower: Array
+    upper: Array
+
+
+class Detections(NamedTuple):
+    """Detections as kernels take them.  uv : (Q, 2) undistorted px, view by view.  first : (C + 1,) where a view
+    starts."""
+
+    uv: Array
+    first: Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +55,11 @@ class MarkerViews:
     @property
     def n_views(self) -> int:
         return len(self.P)
+
+    @property
+    def projections(self) -> Projections:
+        """The views as kernels take them."""
+        return Projections(self.P, self.lower, self.upper)
 
     @cached_property
     def focal(self) -> Array:
@@ -87,6 +109,11 @@ class MarkerObservation:
     views: MarkerViews
     uv: Array
     first: Indices
+
+    @property
+    def detections(self) -> Detections:
+        """The detections as kernels take them."""
+        return Detections(self.uv, self.first)
 
     def of_view(self, c: int) -> Array:
         """Detections of one view, (n, 2) undistorted px."""

@@ -3,42 +3,57 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from mocap.likelihood.residuals._outline_kernels import outline_equations
-from mocap.likelihood.residuals._surface_kernels import surface_equations
+from mocap.body._kernels import BodyArrays
+from mocap.likelihood.residuals._outline_kernels import OutlineTerms, outline_equations
+from mocap.likelihood.residuals._surface_kernels import SurfaceTerms, surface_equations
 
 _DAMPING_START = 1e-3
 _DAMPING_MAX = 1e4
 
 
-@njit(cache=True, nogil=True)
-def fit_equations(state, body, surface, outlines, weights, usual, H, g, H_part, g_part):
-    """Weighted robust cost of hull surface and outlines at a state; fills H (D, D) and g (D,).
+class FitTerms(NamedTuple):
+    """What a fit minimises: distances to hull surface and outlines, and unusual angles.
 
-    body : (chain, moves, cones).  surface, outlines : the arguments of their kernels after these.  weights : of the
-    two; a weight of 0 leaves one out.  usual : (D,) weight of each column's pull to 0.  H_part, g_part : scratch.
+    weights : (2,) of surface and outlines; a weight of 0 leaves one out.  usual : (D,) weight of each column's pull to
+    0.
     """
-    chain, moves, cones = body
+
+    body: BodyArrays
+    surface: SurfaceTerms
+    outlines: OutlineTerms
+    weights: tuple[float, float]
+    usual: NDArray[np.float64]
+
+
+class Bounds(NamedTuple):
+    """Limits of a state.  lower, upper : (D,).  is_circular : (D,) bool, angles without bounds."""
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    is_circular: NDArray[np.bool_]
+
+
+@njit(cache=True, nogil=True)
+def fit_equations(state, fit, H, g, H_part, g_part):
+    """Weighted robust cost of a state (D,); fills H (D, D) and g (D,).  fit : FitTerms.  H_part, g_part : scratch."""
+    weights, usual = fit.weights, fit.usual
     cost = 0.0
     H[:] = 0.0
     g[:] = 0.0
     if weights[0] > 0.0:
-        hull, flesh, flesh_joint, may_meet, volume, settings = surface
-        cost += weights[0] * surface_equations(
-            state, chain, moves, cones, hull, flesh, flesh_joint, may_meet, volume, settings, H, g
-        )
+        cost += weights[0] * surface_equations(state, fit.body, fit.surface, H, g)
         H *= weights[0]
         g *= weights[0]
     if weights[1] > 0.0:
-        rays, flesh, flesh_joint, cameras, crops, settings = outlines
         H_part[:] = 0.0
         g_part[:] = 0.0
-        cost += weights[1] * outline_equations(
-            state, chain, moves, cones, rays, flesh, flesh_joint, cameras, crops, settings, H_part, g_part
-        )
+        cost += weights[1] * outline_equations(state, fit.body, fit.outlines, H_part, g_part)
         for a in range(g.shape[0]):
             g[a] += weights[1] * g_part[a]
             for b in range(g.shape[0]):
@@ -51,14 +66,10 @@ def fit_equations(state, body, surface, outlines, weights, usual, H, g, H_part, 
 
 
 @njit(cache=True, nogil=True)
-def damped_step(H, g, damping, free, L, step):
-    """Solve (H + damping diag H) step = -g in the free columns by Cholesky; the others hold still.
-
-    L : (D, D) scratch.  Returns False when the matrix is not positive definite.
-    """
-    n = g.shape[0]
+def _factorised(H, damping, free, L):
+    """Cholesky factor of H + damping diag H in the free columns into L; False when it is not positive definite."""
+    n = H.shape[0]
     for a in range(n):
-        step[a] = 0.0
         if not free[a]:
             continue
         for b in range(a + 1):
@@ -74,6 +85,19 @@ def damped_step(H, g, damping, free, L, step):
                 L[a, a] = math.sqrt(value)
             else:
                 L[a, b] = value / L[b, b]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def damped_step(H, g, damping, free, L, step):
+    """Solve (H + damping diag H) step = -g in the free columns by Cholesky; the others hold still.
+
+    L : (D, D) scratch.  Returns False when the matrix is not positive definite.
+    """
+    n = g.shape[0]
+    step[:] = 0.0
+    if not _factorised(H, damping, free, L):
+        return False
     for a in range(n):
         if free[a]:
             value = -g[a]
@@ -106,37 +130,47 @@ def add_prior(x, start, prior, is_circular, H, g):
 
 
 @njit(cache=True, nogil=True)
-def descend(
-    states, body, surface, outlines, weights, usual, lower, upper, is_circular, prior, n_iterations, tolerance
-):
+def _move_within(x, step, bounds, out):
+    """out = x + step, taken back to the bounds."""
+    for a in range(x.shape[0]):
+        out[a] = min(max(x[a] + step[a], bounds.lower[a]), bounds.upper[a])
+
+
+@njit(cache=True, nogil=True)
+def _find_free(x, g, bounds, free):
+    """Columns that are not held at a limit because the step would point out of it."""
+    lower, upper = bounds.lower, bounds.upper
+    for a in range(x.shape[0]):
+        free[a] = not ((x[a] <= lower[a] and g[a] > 0.0) or (x[a] >= upper[a] and g[a] < 0.0))
+
+
+@njit(cache=True, nogil=True)
+def descend(states, fit, bounds, prior, n_iterations, tolerance):
     """Move each of the states (K, D), in place, to a nearby minimum of the weighted cost plus the prior at its start.
 
-    As `filters.refine`: never a state of higher cost; columns at a limit are held there while the step points out.
+    fit : FitTerms.  prior : (D,) weight of each column's pull to the start.  As `filters.refine`: never a state of
+    higher cost; columns at a limit are held there while the step points out.
     """
     D = states.shape[1]
-    x, start, candidate, step = np.empty(D), np.empty(D), np.empty(D), np.empty(D)
+    is_circular = bounds.is_circular
+    x, start, candidate, step = np.empty(D), np.empty(D), np.empty(D), np.zeros(D)
     H, g = np.empty((D, D)), np.empty(D)
     new_H, new_g = np.empty((D, D)), np.empty(D)
     H_part, g_part, L = np.empty((D, D)), np.empty(D), np.zeros((D, D))
     free = np.empty(D, np.bool_)
     for k in range(states.shape[0]):
-        for a in range(D):
-            start[a] = min(max(states[k, a], lower[a]), upper[a])
-            x[a] = start[a]
-        cost = fit_equations(x, body, surface, outlines, weights, usual, H, g, H_part, g_part)
+        step[:] = 0.0
+        _move_within(states[k], step, bounds, start)
+        x[:] = start
+        cost = fit_equations(x, fit, H, g, H_part, g_part)
         cost += add_prior(x, start, prior, is_circular, H, g)
         damping = _DAMPING_START
         for _ in range(n_iterations):
-            for a in range(D):
-                free[a] = not ((x[a] <= lower[a] and g[a] > 0.0) or (x[a] >= upper[a] and g[a] < 0.0))
-            is_solved = damped_step(H, g, damping, free, L, step)
+            _find_free(x, g, bounds, free)
             new_cost = np.inf
-            if is_solved:
-                for a in range(D):
-                    candidate[a] = min(max(x[a] + step[a], lower[a]), upper[a])
-                new_cost = fit_equations(
-                    candidate, body, surface, outlines, weights, usual, new_H, new_g, H_part, g_part
-                )
+            if damped_step(H, g, damping, free, L, step):
+                _move_within(x, step, bounds, candidate)
+                new_cost = fit_equations(candidate, fit, new_H, new_g, H_part, g_part)
                 new_cost += add_prior(candidate, start, prior, is_circular, new_H, new_g)
             if new_cost < cost:
                 gain = (cost - new_cost) / max(cost, 1e-300)

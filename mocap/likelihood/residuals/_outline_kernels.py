@@ -3,11 +3,71 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from mocap.likelihood.residuals._pull_kernels import add_pull, posed, robust_loss, spread_pulls
+from mocap.likelihood.residuals._pull_kernels import (
+    FleshPoints,
+    add_pull,
+    bounding_spheres,
+    cone_in_turn,
+    place_body,
+    robust_loss,
+    spread_pulls,
+)
+
+
+class Rays(NamedTuple):
+    """Rays through outline points.  origins, directions, normals : (M, 3), world; see `outlines.Outlines`."""
+
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    normals: NDArray[np.float64]
+
+
+class Pinholes(NamedTuple):
+    """Cameras without distortion.  R : (C, 3, 3), t : (C, 3), world to camera.  intrinsics : (C, 8) fx, fy, cx, cy, and
+    the smallest and largest u and v of the picture: (u0, v0, u1, v1)."""
+
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
+    intrinsics: NDArray[np.float64]
+
+
+class Crops(NamedTuple):
+    """Nearest silhouette pixels in a crop of each picture.
+
+    corner : (C, 2) picture coordinates of a crop's first pixel.  nearest : flat int32, for the pixels of every camera's
+    crop the linear index, within the crop, of the nearest silhouette pixel.  first : (C,) where a camera's crop starts
+    in it.  shape : (C, 2) height and width, 0 without a usable silhouette.
+    """
+
+    corner: NDArray[np.int64]
+    nearest: NDArray[np.int32]
+    first: NDArray[np.int64]
+    shape: NDArray[np.int64]
+
+
+class OutlinePull(NamedTuple):
+    """How outlines and flesh pull each other: `OutlineFitSettings`, with the gain per point and camera."""
+
+    scale_m: float
+    normal_cost_m: float
+    flesh_scale_m: float
+    flesh_gain: float
+
+
+class OutlineTerms(NamedTuple):
+    """Everything of one frame that `outline_equations` takes."""
+
+    rays: Rays
+    flesh: FleshPoints
+    cameras: Pinholes
+    crops: Crops
+    pull: OutlinePull
 
 
 @njit(cache=True, nogil=True)
@@ -26,21 +86,26 @@ def nearest_of_labels(labels, inside):
 
 
 @njit(cache=True, nogil=True)
-def outline_to_body(origins, directions, normals, start, end, radii, cone_joint, scale, normal_cost, pulls):
+def _foot_on_axis(aa, au, aw, uw):
+    """Place along an axis, unbounded, of the point nearest to a ray; the middle where both are parallel."""
+    det = aa - au * au
+    return (au * uw - aw) / det if det > 1e-9 * aa else 0.5
+
+
+@njit(cache=True, nogil=True)
+def outline_to_body(rays, placed, cones, pull, pulls):
     """Pull the flesh until the rays through the outlines touch it; returns the robust cost.
 
     For every ray the cone is chosen that it touches best, by distance and by the angle between the outline's normal and
     the direction from the cone's axis to the ray.
     """
+    # Unpacked once: taken from a tuple inside the loop each array would cost a reference count.
+    origins, directions, normals = rays
+    start, radii, cone_joint = placed.start, cones.radii, cones.joint
+    scale, normal_cost = pull.scale_m, pull.normal_cost_m
     n_cones = start.shape[0]
     cost = 0.0
-    middle = 0.5 * (start + end)
-    axis = end - start
-    reach = np.empty(n_cones)
-    squared = np.empty(n_cones)
-    for k in range(n_cones):
-        squared[k] = axis[k, 0] ** 2 + axis[k, 1] ** 2 + axis[k, 2] ** 2 + 1e-12
-        reach[k] = 0.5 * math.sqrt(squared[k]) + max(radii[k, 0], radii[k, 1])
+    middle, axis, squared, reach = bounding_spheres(placed, radii, 0.0)
     hint = 0
     for i in range(origins.shape[0]):
         ox = origins[i, 0]
@@ -59,11 +124,8 @@ def outline_to_body(origins, directions, normals, start, end, radii, cone_joint,
         ny = 0.0
         nz = 0.0
         taper = 0.0
-        # The cone of the ray before goes first: neighbours mostly share theirs.
-        for order in range(n_cones + 1):
-            k = hint if order == 0 else order - 1
-            if order > 0 and k == hint:
-                continue
+        for order in range(n_cones):
+            k = cone_in_turn(order, hint)
             # Distance of the ray to the cone's bounding sphere: most cones are out of the question.
             mx = middle[k, 0] - ox
             my = middle[k, 1] - oy
@@ -82,8 +144,7 @@ def outline_to_body(origins, directions, normals, start, end, radii, cone_joint,
             au = ax * ux + ay * uy + az * uz
             aw = ax * wx + ay * wy + az * wz
             uw = ux * wx + uy * wy + uz * wz
-            det = aa - au * au
-            along = (au * uw - aw) / det if det > 1e-9 * aa else 0.5
+            along = _foot_on_axis(aa, au, aw, uw)
             s = min(max(along, 0.0), 1.0)
             fx = wx + s * ax
             fy = wy + s * ay
@@ -120,42 +181,32 @@ def outline_to_body(origins, directions, normals, start, end, radii, cone_joint,
         cost += loss
         weight *= max(best_cos, 0.0)
         if weight > 1e-4:
-            add_pull(
-                ox + best_depth * ux,
-                oy + best_depth * uy,
-                oz + best_depth * uz,
+            at = (ox + best_depth * ux, oy + best_depth * uy, oz + best_depth * uz)
+            n = (
                 taper * axis[best_k, 0] - nx,
                 taper * axis[best_k, 1] - ny,
                 taper * axis[best_k, 2] - nz,
-                best_r,
-                weight,
-                cone_joint[best_k],
-                pulls,
             )
+            add_pull(at, n, best_r, weight, cone_joint[best_k], pulls)
     return cost
 
 
 @njit(cache=True, nogil=True)
-def body_to_silhouettes(
-    points,
-    point_joint,
-    R_cam,
-    t_cam,
-    intrinsics,
-    corner,
-    nearest,
-    first,
-    shape,
-    scale,
-    gain,
-    pulls,
-):
-    """Pull flesh points that project outside a silhouette back to its nearest pixel; returns the robust cost.
+def _is_beyond(u, v, intrinsics, camera):
+    """Whether a place of a camera lies beyond its picture."""
+    low = u < intrinsics[camera, 4] or v < intrinsics[camera, 5]
+    return low or u > intrinsics[camera, 6] or v > intrinsics[camera, 7]
 
-    nearest : flat int32, for the pixels of every camera's crop the linear index (within the crop) of the nearest
-    silhouette pixel.  first, shape, corner : where a camera's crop starts in it, its (height, width), and the picture
-    coordinates of its first pixel.  A point that falls outside a crop is taken to the crop's border first.
+
+@njit(cache=True, nogil=True)
+def body_to_silhouettes(points, point_joint, cameras, crops, pull, pulls):
+    """Pull flesh points (M, 3) that project outside a silhouette back to its nearest pixel; returns the robust cost.
+
+    A point that falls outside a crop is taken to the crop's border first.
     """
+    R_cam, t_cam, intrinsics = cameras
+    corner, nearest, first, shape = crops
+    scale, gain = pull.flesh_scale_m, pull.flesh_gain
     cost = 0.0
     for v in range(R_cam.shape[0]):
         height = shape[v, 0]
@@ -185,13 +236,13 @@ def body_to_silhouettes(
             u = fx * cam0 / cam2 + cx
             w = fy * cam1 / cam2 + cy
             # Out of the picture: the camera says nothing.
-            if u < intrinsics[v, 4] or w < intrinsics[v, 5] or u > intrinsics[v, 6] or w > intrinsics[v, 7]:
+            if _is_beyond(u, w, intrinsics, v):
                 continue
             col = min(max(math.floor(u - corner[v, 0] + 0.5), 0), width - 1)
             row = min(max(math.floor(w - corner[v, 1] + 0.5), 0), height - 1)
-            at = nearest[first[v] + row * width + col]
-            du = u - (corner[v, 0] + at % width)
-            dw = w - (corner[v, 1] + at // width)
+            pixel = nearest[first[v] + row * width + col]
+            du = u - (corner[v, 0] + pixel % width)
+            dw = w - (corner[v, 1] + pixel // width)
             pixels = math.sqrt(du * du + dw * dw)
             if pixels < 1.0:
                 continue
@@ -202,56 +253,28 @@ def body_to_silhouettes(
             own += loss
             if weight > 1e-4 * gain:
                 # The picture direction as a direction in the world: columns of the camera's axes.
-                add_pull(
-                    points[i, 0],
-                    points[i, 1],
-                    points[i, 2],
+                n = (
                     du * R_cam[v, 0, 0] + dw * R_cam[v, 1, 0],
                     du * R_cam[v, 0, 1] + dw * R_cam[v, 1, 1],
                     du * R_cam[v, 0, 2] + dw * R_cam[v, 1, 2],
-                    metres,
-                    weight,
-                    point_joint[i],
-                    pulls,
                 )
+                at = (points[i, 0], points[i, 1], points[i, 2])
+                add_pull(at, n, metres, weight, point_joint[i], pulls)
         cost += own
     return cost
 
 
 @njit(cache=True, nogil=True)
-def outline_equations(
-    state, chain, moves, cones, rays, flesh_points, flesh_joint, cameras, crops, settings, H, g
-):
-    """Robust cost of a state; adds its normal equations to H (D, D) and g (D,).
+def outline_equations(state, body, outlines, H, g):
+    """Robust cost of a state (D,); adds its normal equations to H (D, D) and g (D,).
 
-    chain : of the body.  cones : (start, end, radii, joint, part).  rays : (origins, directions, normals).
-    cameras : (R, t, intrinsics).  crops : (corner, nearest, first, shape).  settings : (scale, normal_cost,
-    flesh_scale, flesh_gain).
+    body : BodyArrays.  outlines : OutlineTerms.
     """
-    parent, _, dof_joint, _, dof_column = chain
-    _, _, radii, cone_joint, _ = cones
-    origins, directions, normals = rays
-    R_cam, t_cam, intrinsics = cameras
-    corner, nearest, first, shape = crops
-    scale, normal_cost, flesh_scale, flesh_gain = settings
-    t, axes, start, end, flesh = posed(state, chain, cones, flesh_points, flesh_joint)
-    pulls = np.zeros((t.shape[0], 7, 6))
-    cost = outline_to_body(
-        origins, directions, normals, start, end, radii, cone_joint, scale, normal_cost, pulls
-    )
+    placed = place_body(state, body, outlines.flesh)
+    pulls = np.zeros((placed.t.shape[0], 7, 6))
+    cost = outline_to_body(outlines.rays, placed, body.cones, outlines.pull, pulls)
     cost += body_to_silhouettes(
-        flesh,
-        flesh_joint,
-        R_cam,
-        t_cam,
-        intrinsics,
-        corner,
-        nearest,
-        first,
-        shape,
-        flesh_scale,
-        flesh_gain,
-        pulls,
+        placed.flesh, outlines.flesh.joint, outlines.cameras, outlines.crops, outlines.pull, pulls
     )
-    spread_pulls(pulls, parent, t, axes, dof_joint, dof_column, moves, H, g)
+    spread_pulls(pulls, body, placed.t, placed.axes, H, g)
     return cost

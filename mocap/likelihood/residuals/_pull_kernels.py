@@ -8,10 +8,32 @@ Source: the composite-body recursion of rigid-body dynamics, R. Featherstone, Ri
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mocap.body._kernels import chain_axes
+
+
+class FleshPoints(NamedTuple):
+    """Points of the flesh.  points : (M, 3) m, each in the frame of its joint (M,)."""
+
+    points: NDArray[np.float64]
+    joint: NDArray[np.int64]
+
+
+class Placed(NamedTuple):
+    """A body in one pose, world.  t : (J, 3) m, places of the joints.  axes : (n_dofs, 3) of the rotations.  start, end
+    : (K, 3) m, of the cones.  flesh : (M, 3) m."""
+
+    t: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    flesh: NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
@@ -26,23 +48,42 @@ def place_points(points, joint, R, t, placed):
 
 
 @njit(cache=True, nogil=True)
-def posed(state, chain, cones, flesh_points, flesh_joint):
-    """What a state (D,) does to a body: places of the joints (J, 3), axes of the rotations (n_dofs, 3), ends of the
-    cones (K, 3) twice, and the flesh points (M, 3), all in the world.  chain, cones : as kernels take the body.
-    """
-    parent, offset, dof_joint, dof_axis, dof_column = chain
-    cone_start, cone_end, _, cone_joint, _ = cones
-    R = np.empty((parent.shape[0], 3, 3))
-    t = np.empty((parent.shape[0], 3))
-    axes = np.empty((dof_joint.shape[0], 3))
-    chain_axes(state, parent, offset, dof_joint, dof_axis, dof_column, R, t, axes)
-    start = np.empty_like(cone_start)
-    end = np.empty_like(cone_end)
-    place_points(cone_start, cone_joint, R, t, start)
-    place_points(cone_end, cone_joint, R, t, end)
-    flesh = np.empty_like(flesh_points)
-    place_points(flesh_points, flesh_joint, R, t, flesh)
-    return t, axes, start, end, flesh
+def place_body(state, body, flesh):
+    """What a state (D,) does to a body with some of its flesh."""
+    chain, cones = body.chain, body.cones
+    J = chain.parent.shape[0]
+    R = np.empty((J, 3, 3))
+    t = np.empty((J, 3))
+    axes = np.empty((chain.dof_joint.shape[0], 3))
+    chain_axes(state, chain, R, t, axes)
+    start = np.empty_like(cones.start)
+    end = np.empty_like(cones.end)
+    place_points(cones.start, cones.joint, R, t, start)
+    place_points(cones.end, cones.joint, R, t, end)
+    points = np.empty_like(flesh.points)
+    place_points(flesh.points, flesh.joint, R, t, points)
+    return Placed(t, axes, start, end, points)
+
+
+@njit(cache=True, nogil=True)
+def bounding_spheres(placed, radii, excess):
+    """Spheres about the cones grown by excess: middle (K, 3), axis (K, 3), its squared length (K,), and radius (K,)."""
+    middle = 0.5 * (placed.start + placed.end)
+    axis = placed.end - placed.start
+    squared = np.empty(radii.shape[0])
+    reach = np.empty(radii.shape[0])
+    for k in range(radii.shape[0]):
+        squared[k] = axis[k, 0] ** 2 + axis[k, 1] ** 2 + axis[k, 2] ** 2 + 1e-12
+        reach[k] = 0.5 * math.sqrt(squared[k]) + max(radii[k, 0], radii[k, 1]) + excess
+    return middle, axis, squared, reach
+
+
+@njit(cache=True, nogil=True)
+def cone_in_turn(order, hint):
+    """The order-th cone of a search that begins with the one of the point before: neighbours mostly share theirs."""
+    if order == 0:
+        return hint
+    return order - 1 if order <= hint else order
 
 
 @njit(cache=True, nogil=True)
@@ -54,12 +95,14 @@ def robust_loss(residual, scale, gain):
 
 
 @njit(cache=True, nogil=True)
-def add_pull(x, y, z, nx, ny, nz, residual, weight, j, pulls):
-    """Add one scalar residual with derivative n . dx/dstate at the point (x, y, z) of joint j.
+def add_pull(at, n, residual, weight, j, pulls):
+    """Add one scalar residual with derivative n . dx/dstate at a point of joint j.  at, n : three numbers each.
 
     pulls : (J, 7, 6); rows 0 to 5 hold the upper triangle of the sum of w w^T, row 6 that of residual w, with
     w = (n, x cross n).
     """
+    x, y, z = at
+    nx, ny, nz = n
     mx = y * nz - z * ny
     my = z * nx - x * nz
     mz = x * ny - y * nx
@@ -100,12 +143,8 @@ def add_pull(x, y, z, nx, ny, nz, residual, weight, j, pulls):
 
 
 @njit(cache=True, nogil=True)
-def spread_pulls(pulls, parent, t, axes, dof_joint, dof_column, moves, H, g):
-    """Add the gathered residuals to H (D, D) and g (D,); columns 0 to 2 move the whole body.
-
-    moves : (J, n_dofs) bool, the rotations that move each joint.  pulls is used up: it holds the sums over
-    each joint and all below afterwards.
-    """
+def _sum_over_branches(pulls, parent):
+    """Make of the sums of each joint those of it and all below; returns the sums of the whole body, (7, 6)."""
     J = pulls.shape[0]
     for j in range(J):
         for a in range(6):
@@ -113,20 +152,18 @@ def spread_pulls(pulls, parent, t, axes, dof_joint, dof_column, moves, H, g):
                 pulls[j, a, b] = pulls[j, b, a]
     whole = np.zeros((7, 6))
     for j in range(J - 1, -1, -1):
-        p = parent[j]
+        target = whole if parent[j] < 0 else pulls[parent[j]]
         for a in range(7):
             for b in range(6):
-                if p < 0:
-                    whole[a, b] += pulls[j, a, b]
-                else:
-                    pulls[p, a, b] += pulls[j, a, b]
-    for a in range(3):
-        g[a] += whole[6, a]
-        for b in range(3):
-            H[a, b] += whole[a, b]
-    n_dofs = dof_joint.shape[0]
-    twist = np.empty((n_dofs, 6))
-    for d in range(n_dofs):
+                target[a, b] += pulls[j, a, b]
+    return whole
+
+
+@njit(cache=True, nogil=True)
+def _twists(t, axes, dof_joint):
+    """The twist of each rotation, (n_dofs, 6): its moment about the world's origin, and its axis."""
+    twist = np.empty((dof_joint.shape[0], 6))
+    for d in range(dof_joint.shape[0]):
         q = t[dof_joint[d]]
         u = axes[d]
         twist[d, 0] = q[1] * u[2] - q[2] * u[1]
@@ -135,6 +172,23 @@ def spread_pulls(pulls, parent, t, axes, dof_joint, dof_column, moves, H, g):
         twist[d, 3] = u[0]
         twist[d, 4] = u[1]
         twist[d, 5] = u[2]
+    return twist
+
+
+@njit(cache=True, nogil=True)
+def spread_pulls(pulls, body, t, axes, H, g):
+    """Add the gathered residuals to H (D, D) and g (D,); columns 0 to 2 move the whole body.
+
+    body : BodyArrays.  pulls is used up: it holds the sums over each joint and all below afterwards.
+    """
+    dof_joint, dof_column, moves = body.chain.dof_joint, body.chain.dof_column, body.moves
+    whole = _sum_over_branches(pulls, body.chain.parent)
+    for a in range(3):
+        g[a] += whole[6, a]
+        for b in range(3):
+            H[a, b] += whole[a, b]
+    n_dofs = dof_joint.shape[0]
+    twist = _twists(t, axes, dof_joint)
     force = np.empty(6)
     for d in range(n_dofs):
         j = dof_joint[d]

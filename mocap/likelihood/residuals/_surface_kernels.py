@@ -3,30 +3,116 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from mocap.likelihood.residuals._pull_kernels import add_pull, posed, robust_loss, spread_pulls
+from mocap.likelihood.residuals._pull_kernels import (
+    FleshPoints,
+    add_pull,
+    bounding_spheres,
+    cone_in_turn,
+    place_body,
+    robust_loss,
+    spread_pulls,
+)
 from mocap.likelihood.voxels.exact import OCCUPIED_BIT
 
 
+class Blocks(NamedTuple):
+    """Points sorted by the cube they lie in: those of cube b are rows[first[b] : first[b + 1]].
+
+    low : (3,) m, corner of the first cube.  side : m.  shape : (3,) cubes.  first : (B + 1,).  rows : (N,).
+    """
+
+    low: NDArray[np.float64]
+    side: float
+    shape: NDArray[np.int64]
+    first: NDArray[np.int64]
+    rows: NDArray[np.int64]
+
+
+class HullPoints(NamedTuple):
+    """Surface of a hull.  points, normals : (M, 3) m, those that pull.  every : (N, 3) m, all, sorted into blocks."""
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    every: NDArray[np.float64]
+    blocks: Blocks
+
+
+class Volume(NamedTuple):
+    """A packed volume.  crop : (nx, ny, nz) uint8.  lower_m : (3,) m, its corner.  voxel_m : side of a voxel."""
+
+    crop: NDArray[np.uint8]
+    lower_m: NDArray[np.float64]
+    voxel_m: float
+
+
+class SurfacePull(NamedTuple):
+    """How hull and flesh pull each other: `SurfaceFitSettings`, with gains per point.  excess_m : by how much the hull
+    lies outside the flesh that it fits."""
+
+    excess_m: float
+    scale_m: float
+    normal_cost_m: float
+    flesh_scale_m: float
+    flesh_gain: float
+    penetration_gain: float
+
+
+class SurfaceTerms(NamedTuple):
+    """Everything of one frame that `surface_equations` takes.  may_meet : (M, P) bool, parts that a flesh point is
+    tested against."""
+
+    hull: HullPoints
+    flesh: FleshPoints
+    may_meet: NDArray[np.bool_]
+    volume: Volume
+    pull: SurfacePull
+
+
 @njit(cache=True, nogil=True)
-def hull_to_body(points, normals, start, end, radii, cone_joint, excess, scale, normal_cost, pulls):
+def is_occupied(crop, x, y, z):
+    """Whether a voxel of a packed volume is occupied; none is beyond it."""
+    if x < 0 or y < 0 or z < 0 or x >= crop.shape[0] or y >= crop.shape[1] or z >= crop.shape[2]:
+        return False
+    return crop[x, y, z] >= OCCUPIED_BIT
+
+
+@njit(cache=True, nogil=True)
+def from_axis(at, start, end, k):
+    """Where a point lies beside the axis of cone k: place along it in [0, 1], and the way from there, three numbers.
+
+    at : three numbers.  start, end : (K, 3).
+    """
+    ax = end[k, 0] - start[k, 0]
+    ay = end[k, 1] - start[k, 1]
+    az = end[k, 2] - start[k, 2]
+    px = at[0] - start[k, 0]
+    py = at[1] - start[k, 1]
+    pz = at[2] - start[k, 2]
+    s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
+    s = min(max(s, 0.0), 1.0)
+    return s, px - s * ax, py - s * ay, pz - s * az
+
+
+@njit(cache=True, nogil=True)
+def hull_to_body(hull, placed, cones, pull, pulls):
     """Pull the nearest flesh to every hull surface point; returns the robust cost.
 
     The nearest cone is chosen by distance and by the angle between the outward normals.
     """
+    # Unpacked once: taken from a tuple inside the loop each array would cost a reference count.
+    points, normals, start = hull.points, hull.normals, placed.start
+    radii, cone_joint = cones.radii, cones.joint
+    excess, scale, normal_cost = pull.excess_m, pull.scale_m, pull.normal_cost_m
     n_cones = start.shape[0]
     cost = 0.0
-    # Bounding spheres of the cones: most are out of the question at a glance.
-    middle = 0.5 * (start + end)
-    axis = end - start
-    reach = np.empty(n_cones)
-    squared = np.empty(n_cones)
-    for k in range(n_cones):
-        squared[k] = axis[k, 0] ** 2 + axis[k, 1] ** 2 + axis[k, 2] ** 2 + 1e-12
-        reach[k] = 0.5 * math.sqrt(squared[k]) + max(radii[k, 0], radii[k, 1]) + excess
+    # Most cones are out of the question at a glance at their spheres.
+    middle, axis, squared, reach = bounding_spheres(placed, radii, excess)
     hint = 0
     for i in range(points.shape[0]):
         x = points[i, 0]
@@ -41,11 +127,8 @@ def hull_to_body(points, normals, start, end, radii, cone_joint, excess, scale, 
         ny = 0.0
         nz = 0.0
         taper = 0.0
-        # The cone of the point before goes first: points next to each other mostly share theirs.
-        for order in range(n_cones + 1):
-            k = hint if order == 0 else order - 1
-            if order > 0 and k == hint:
-                continue
+        for order in range(n_cones):
+            k = cone_in_turn(order, hint)
             limit = reach[k] + best_root
             mx = x - middle[k, 0]
             my = y - middle[k, 1]
@@ -79,33 +162,25 @@ def hull_to_body(points, normals, start, end, radii, cone_joint, excess, scale, 
                 nz = dz * inv
                 # Beside the cone the radius changes along the axis; beyond its ends it does not.
                 taper = (radii[k, 1] - radii[k, 0]) / squared[k] if s == along else 0.0
-        hint = best_k
+        hint = max(best_k, 0)
         loss, weight = robust_loss(best_r, scale, 1.0)
         cost += loss
         weight *= max(best_cos, 0.0)
         if weight > 1e-4:
             # d(residual) = -(gradient of the distance) . dx: it shrinks when the flesh moves outwards.
-            add_pull(
-                x,
-                y,
-                z,
+            n = (
                 taper * axis[best_k, 0] - nx,
                 taper * axis[best_k, 1] - ny,
                 taper * axis[best_k, 2] - nz,
-                best_r,
-                weight,
-                cone_joint[best_k],
-                pulls,
             )
+            add_pull((x, y, z), n, best_r, weight, cone_joint[best_k], pulls)
     return cost
 
 
 @njit(cache=True, nogil=True)
-def sort_into_blocks(points, low, side, shape, first, rows):
-    """Rows of points (N, 3) by the cube they lie in: those of cube b are rows[first[b] : first[b + 1]].
-
-    low : (3,) m, corner of the first cube.  side : m.  shape : (3,) cubes.  first : (B + 1,), rows : (N,) filled.
-    """
+def sort_into_blocks(points, blocks):
+    """Fill first and rows of the blocks of points (N, 3)."""
+    low, side, shape, first, rows = blocks
     n = points.shape[0]
     block = np.empty(n, np.int64)
     first[:] = 0
@@ -124,11 +199,27 @@ def sort_into_blocks(points, low, side, shape, first, rows):
 
 
 @njit(cache=True, nogil=True)
-def nearest_in_blocks(x, y, z, points, low, side, shape, first, rows):
-    """Row of the point nearest to (x, y, z); the blocks are those of `sort_into_blocks`. At least one point."""
-    u = (x - low[0]) / side
-    v = (y - low[1]) / side
-    w = (z - low[2]) / side
+def _nearest_of(at, points, rows, best, row):
+    """Square of the distance to the nearest of some rows of points and that row, if it is below `best`, else these."""
+    for i in rows:
+        dx = points[i, 0] - at[0]
+        dy = points[i, 1] - at[1]
+        dz = points[i, 2] - at[2]
+        square = dx * dx + dy * dy + dz * dz
+        if square < best:
+            best = square
+            row = i
+    return best, row
+
+
+@njit(cache=True, nogil=True)
+def nearest_in_blocks(at, points, blocks):
+    """Row of the point nearest to a place, three numbers; the blocks are those of `sort_into_blocks`. At least one
+    point."""
+    low, side, shape, first, rows = blocks
+    u = (at[0] - low[0]) / side
+    v = (at[1] - low[1]) / side
+    w = (at[2] - low[2]) / side
     own_x = math.floor(u)
     own_y = math.floor(v)
     own_z = math.floor(w)
@@ -151,15 +242,7 @@ def nearest_in_blocks(x, y, z, points, low, side, shape, first, rows):
                     if iz < 0 or iz >= shape[2]:
                         continue
                     b = (ix * shape[1] + iy) * shape[2] + iz
-                    for at in range(first[b], first[b + 1]):
-                        i = rows[at]
-                        dx = points[i, 0] - x
-                        dy = points[i, 1] - y
-                        dz = points[i, 2] - z
-                        square = dx * dx + dy * dy + dz * dz
-                        if square < best:
-                            best = square
-                            row = i
+                    best, row = _nearest_of(at, points, rows[first[b] : first[b + 1]], best, row)
         # All that was not looked at lies further than this.
         clear = (shell + spare) * side
         if best <= clear * clear:
@@ -168,12 +251,14 @@ def nearest_in_blocks(x, y, z, points, low, side, shape, first, rows):
 
 
 @njit(cache=True, nogil=True)
-def body_to_hull(flesh, flesh_joint, crop, lower_m, voxel, hull_points, blocks, scale, gain, pulls):
-    """Pull flesh points that stick out of the hull back to the nearest hull point; returns the robust cost.
+def body_to_hull(flesh, flesh_joint, surface, pulls):
+    """Pull flesh points (M, 3) that stick out of the hull back to the nearest hull point; returns the robust cost.
 
-    blocks : (low, side, shape, first, rows) of the hull points, from `sort_into_blocks`.
+    surface : SurfaceTerms.
     """
-    low, side, shape, first, rows = blocks
+    crop, lower_m, voxel = surface.volume
+    hull_points, blocks = surface.hull.every, surface.hull.blocks
+    scale, gain = surface.pull.flesh_scale_m, surface.pull.flesh_gain
     cost = 0.0
     for i in range(flesh.shape[0]):
         x = flesh[i, 0]
@@ -182,14 +267,9 @@ def body_to_hull(flesh, flesh_joint, crop, lower_m, voxel, hull_points, blocks, 
         ix = math.floor((x - lower_m[0]) / voxel)
         iy = math.floor((y - lower_m[1]) / voxel)
         iz = math.floor((z - lower_m[2]) / voxel)
-        if (
-            0 <= ix < crop.shape[0]
-            and 0 <= iy < crop.shape[1]
-            and 0 <= iz < crop.shape[2]
-            and crop[ix, iy, iz] >= OCCUPIED_BIT
-        ):
+        if is_occupied(crop, ix, iy, iz):
             continue
-        row = nearest_in_blocks(x, y, z, hull_points, low, side, shape, first, rows)
+        row = nearest_in_blocks((x, y, z), hull_points, blocks)
         nx = x - hull_points[row, 0]
         ny = y - hull_points[row, 1]
         nz = z - hull_points[row, 2]
@@ -198,49 +278,26 @@ def body_to_hull(flesh, flesh_joint, crop, lower_m, voxel, hull_points, blocks, 
             continue
         loss, weight = robust_loss(length, scale, gain)
         cost += loss
-        add_pull(x, y, z, nx / length, ny / length, nz / length, length, weight, flesh_joint[i], pulls)
+        n = (nx / length, ny / length, nz / length)
+        add_pull((x, y, z), n, length, weight, flesh_joint[i], pulls)
     return cost
 
 
 @njit(cache=True, nogil=True)
-def surface_equations(
-    state, chain, moves, cones, hull, flesh_points, flesh_joint, may_meet, volume, settings, H, g
-):
-    """Robust cost of a state; adds its normal equations to H (D, D) and g (D,).
+def surface_equations(state, body, surface, H, g):
+    """Robust cost of a state (D,); adds its normal equations to H (D, D) and g (D,).
 
-    chain : of the body.  cones : (start, end, radii, joint, part).  hull : (points, normals, all surface
-    points, their blocks).
-    volume : (crop, lower_m, voxel).  settings : (excess, scale, normal_cost, flesh_scale, flesh_gain,
-    penetration_gain).
+    body : BodyArrays.  surface : SurfaceTerms.
     """
-    parent, _, dof_joint, _, dof_column = chain
-    _, _, radii, cone_joint, cone_part = cones
-    points, normals, all_points, blocks = hull
-    crop, lower_m, voxel = volume
-    excess, scale, normal_cost, flesh_scale, flesh_gain, penetration_gain = settings
-    t, axes, start, end, flesh = posed(state, chain, cones, flesh_points, flesh_joint)
-    pulls = np.zeros((t.shape[0], 7, 6))
-    cost = hull_to_body(points, normals, start, end, radii, cone_joint, excess, scale, normal_cost, pulls)
-    cost += body_to_hull(
-        flesh, flesh_joint, crop, lower_m, voxel, all_points, blocks, flesh_scale, flesh_gain, pulls
-    )
-    if penetration_gain > 0.0:
-        moving = (t, axes, dof_joint, dof_column, moves)
-        cost += self_penetration(
-            flesh,
-            flesh_joint,
-            may_meet,
-            start,
-            end,
-            radii,
-            cone_joint,
-            cone_part,
-            moving,
-            penetration_gain,
-            H,
-            g,
-        )
-    spread_pulls(pulls, parent, t, axes, dof_joint, dof_column, moves, H, g)
+    placed = place_body(state, body, surface.flesh)
+    joint = surface.flesh.joint
+    pulls = np.zeros((placed.t.shape[0], 7, 6))
+    cost = hull_to_body(surface.hull, placed, body.cones, surface.pull, pulls)
+    cost += body_to_hull(placed.flesh, joint, surface, pulls)
+    gain = surface.pull.penetration_gain
+    if gain > 0.0:
+        cost += self_penetration(placed, joint, surface.may_meet, body, gain, H, g)
+    spread_pulls(pulls, body, placed.t, placed.axes, H, g)
     return cost
 
 
@@ -263,15 +320,7 @@ def surface_normals(voxels, is_surface, crop, lower, ny, nz, radius, normals):
                     x = ix + dx
                     y = iy + dy
                     z = iz + dz
-                    if (
-                        x >= 0
-                        and y >= 0
-                        and z >= 0
-                        and x < crop.shape[0]
-                        and y < crop.shape[1]
-                        and z < crop.shape[2]
-                        and crop[x, y, z] >= 128
-                    ):
+                    if is_occupied(crop, x, y, z):
                         sx -= dx
                         sy -= dy
                         sz -= dz
@@ -284,60 +333,48 @@ def surface_normals(voxels, is_surface, crop, lower, ny, nz, radius, normals):
 
 
 @njit(cache=True, nogil=True)
-def self_penetration(
-    points,
-    point_joint,
-    may_meet,
-    start,
-    end,
-    radii,
-    cone_joint,
-    cone_part,
-    moving,
-    gain,
-    H,
-    g,
-):
+def _deepest_cone(at, meets, start, end, radii, part):
+    """The cone in which a point lies deepest: (depth, cone or -1, outward direction as three numbers).
+
+    meets : (P,) bool, parts whose cones count.
+    """
+    deepest = 0.0
+    other = -1
+    nx, ny, nz = 0.0, 0.0, 0.0
+    for k in range(start.shape[0]):
+        if not meets[part[k]]:
+            continue
+        s, dx, dy, dz = from_axis(at, start, end, k)
+        radius = radii[k, 0] + s * (radii[k, 1] - radii[k, 0])
+        square = dx * dx + dy * dy + dz * dz
+        if square >= radius * radius:
+            continue
+        length = math.sqrt(square)
+        depth = radius - length
+        if depth > deepest and length > 1e-6:
+            deepest = depth
+            other = k
+            nx, ny, nz = -dx / length, -dy / length, -dz / length
+    return deepest, other, (nx, ny, nz)
+
+
+@njit(cache=True, nogil=True)
+def self_penetration(placed, point_joint, may_meet, body, gain, H, g):
     """Push flesh points out of the cones of other parts; returns the cost.
 
     may_meet : (M, P) bool, parts that a point is tested against. The derivative is that of the relative movement
     of the two parts.
     """
-    t, axes, dof_joint, dof_column, moves = moving
+    t, axes, start, end, points = placed
+    radii, cone_joint, cone_part = body.cones.radii, body.cones.joint, body.cones.part
+    dof_joint, dof_column, moves = body.chain.dof_joint, body.chain.dof_column, body.moves
     n_dofs = dof_joint.shape[0]
     values = np.empty(n_dofs)
     used = np.empty(n_dofs, np.int64)
-    n = np.empty(3)
     cost = 0.0
     for i in range(points.shape[0]):
-        deepest = 0.0
-        other = -1
-        for k in range(start.shape[0]):
-            if not may_meet[i, cone_part[k]]:
-                continue
-            ax = end[k, 0] - start[k, 0]
-            ay = end[k, 1] - start[k, 1]
-            az = end[k, 2] - start[k, 2]
-            px = points[i, 0] - start[k, 0]
-            py = points[i, 1] - start[k, 1]
-            pz = points[i, 2] - start[k, 2]
-            s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
-            s = min(max(s, 0.0), 1.0)
-            dx = px - s * ax
-            dy = py - s * ay
-            dz = pz - s * az
-            radius = radii[k, 0] + s * (radii[k, 1] - radii[k, 0])
-            square = dx * dx + dy * dy + dz * dz
-            if square >= radius * radius:
-                continue
-            length = math.sqrt(square)
-            depth = radius - length
-            if depth > deepest and length > 1e-6:
-                deepest = depth
-                other = k
-                n[0] = -dx / length
-                n[1] = -dy / length
-                n[2] = -dz / length
+        at = (points[i, 0], points[i, 1], points[i, 2])
+        deepest, other, n = _deepest_cone(at, may_meet[i], start, end, radii, cone_part)
         if other < 0:
             continue
         cost += 0.5 * gain * deepest * deepest
@@ -349,9 +386,9 @@ def self_penetration(
             if moves[ja, d] == moves[jb, d]:
                 continue
             q = t[dof_joint[d]]
-            rx = points[i, 0] - q[0]
-            ry = points[i, 1] - q[1]
-            rz = points[i, 2] - q[2]
+            rx = at[0] - q[0]
+            ry = at[1] - q[1]
+            rz = at[2] - q[2]
             v = (
                 n[0] * (axes[d, 1] * rz - axes[d, 2] * ry)
                 + n[1] * (axes[d, 2] * rx - axes[d, 0] * rz)
@@ -372,19 +409,10 @@ def self_penetration(
 def distance_to_cones(points, start, end, radii, distance):
     """Distance of each point to the nearest cone, negative inside."""
     for i in range(points.shape[0]):
+        at = (points[i, 0], points[i, 1], points[i, 2])
         best = np.inf
         for k in range(start.shape[0]):
-            ax = end[k, 0] - start[k, 0]
-            ay = end[k, 1] - start[k, 1]
-            az = end[k, 2] - start[k, 2]
-            px = points[i, 0] - start[k, 0]
-            py = points[i, 1] - start[k, 1]
-            pz = points[i, 2] - start[k, 2]
-            s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
-            s = min(max(s, 0.0), 1.0)
-            dx = px - s * ax
-            dy = py - s * ay
-            dz = pz - s * az
+            s, dx, dy, dz = from_axis(at, start, end, k)
             d = math.sqrt(dx * dx + dy * dy + dz * dz) - (radii[k, 0] + s * (radii[k, 1] - radii[k, 0]))
             best = min(best, d)
         distance[i] = best
@@ -394,20 +422,12 @@ def distance_to_cones(points, start, end, radii, distance):
 def share_within(points, start, end, reach, share):
     """Share of the points (U, 3) that lie within reach (K,) of an axis of N particles, start, end (N, K, 3)."""
     for i in range(start.shape[0]):
+        own_start, own_end = start[i], end[i]
         n = 0
         for u in range(points.shape[0]):
-            for k in range(start.shape[1]):
-                ax = end[i, k, 0] - start[i, k, 0]
-                ay = end[i, k, 1] - start[i, k, 1]
-                az = end[i, k, 2] - start[i, k, 2]
-                px = points[u, 0] - start[i, k, 0]
-                py = points[u, 1] - start[i, k, 1]
-                pz = points[u, 2] - start[i, k, 2]
-                s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
-                s = min(max(s, 0.0), 1.0)
-                dx = px - s * ax
-                dy = py - s * ay
-                dz = pz - s * az
+            at = (points[u, 0], points[u, 1], points[u, 2])
+            for k in range(own_start.shape[0]):
+                _, dx, dy, dz = from_axis(at, own_start, own_end, k)
                 if dx * dx + dy * dy + dz * dz < reach[k] * reach[k]:
                     n += 1
                     break

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data.problem import StateLayout
-from mocap.likelihood.residuals._descent_kernels import descend, fit_equations
-from mocap.likelihood.residuals.outlines import OutlineProblem, no_outline_arguments
+from mocap.likelihood.residuals._descent_kernels import Bounds, FitTerms, descend, fit_equations
+from mocap.likelihood.residuals.outlines import OutlineProblem, no_outline_terms
 from mocap.likelihood.residuals.surface import SurfaceProblem
 from mocap.threads import in_parallel
 
@@ -40,8 +40,7 @@ class BodyFit:
         D = self.layout.n_columns
         H, g, H_part, g_part = np.empty((D, D)), np.empty(D), np.empty((D, D)), np.empty(D)
         x = np.ascontiguousarray(state, dtype=np.float64)
-        cost = fit_equations(x, *self._arguments(), H, g, H_part, g_part)
-        return float(cost), H, g
+        return float(fit_equations(x, self._terms(), H, g, H_part, g_part)), H, g
 
     def descended(
         self,
@@ -61,24 +60,24 @@ class BodyFit:
         layout = self.layout
         prior = (residual_std_m / prior_std) ** 2
         moved = np.array(states, dtype=np.float64, order="C", ndmin=2)
-        bounds = layout.lower, layout.upper, layout.is_circular
+        terms, bounds = self._terms(), Bounds(layout.lower, layout.upper, layout.is_circular)
 
         def job(rows: slice) -> None:
-            descend(moved[rows], *self._arguments(), *bounds, prior, n_iterations, tolerance)
+            descend(moved[rows], terms, bounds, prior, n_iterations, tolerance)
 
         # Whole blocks: rows with gaps between them would be compiled for apart.
         edges = np.linspace(0, len(moved), min(n_threads, len(moved)) + 1).astype(int)
         in_parallel(job, [slice(a, b) for a, b in itertools.pairwise(edges)], n_threads)
         return moved
 
-    def _arguments(self) -> tuple[object, ...]:
-        """What the kernels take after the state."""
+    def _terms(self) -> FitTerms:
+        """The fit as the kernels take it."""
         surface, outlines = self.surface, self.outlines
         has_outlines = outlines is not None and outlines.n_points > 0
-        return (
-            (surface.body.chain, surface.body.moves, surface.body.cones.kernel_arrays),
-            surface.kernel_arguments,
-            outlines.kernel_arguments if outlines is not None and has_outlines else no_outline_arguments(),
+        return FitTerms(
+            surface.body.arrays,
+            surface.terms,
+            outlines.terms if outlines is not None and has_outlines else no_outline_terms(),
             (
                 self.surface_weight if surface.n_points else 0.0,
                 self.outline_weight if has_outlines else 0.0,

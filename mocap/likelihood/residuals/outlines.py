@@ -18,7 +18,16 @@ from mocap.body.model import Body
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.problem import StateLayout
 from mocap.geometry._pixel_kernels import are_near, pixels_of_points
-from mocap.likelihood.residuals._outline_kernels import nearest_of_labels, outline_equations
+from mocap.likelihood.residuals._outline_kernels import (
+    Crops,
+    OutlinePull,
+    OutlineTerms,
+    Pinholes,
+    Rays,
+    nearest_of_labels,
+    outline_equations,
+)
+from mocap.likelihood.residuals._pull_kernels import FleshPoints
 from mocap.likelihood.residuals.surface import flesh_sample
 
 Array = NDArray[np.float64]
@@ -234,7 +243,7 @@ class OutlineProblem:
     settings: OutlineFitSettings
     _flesh: Array = field(init=False, repr=False)
     _flesh_joint: NDArray[np.int64] = field(init=False, repr=False)
-    _cameras: tuple[Array, Array, Array] = field(init=False, repr=False)
+    _cameras: Pinholes = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         flesh, joint, _ = flesh_sample(self.table, self.settings.n_flesh_points)
@@ -248,7 +257,10 @@ class OutlineProblem:
         for name, value in (
             ("_flesh", flesh),
             ("_flesh_joint", joint),
-            ("_cameras", (np.stack([c.R for c in cameras]), np.stack([c.t for c in cameras]), intrinsics)),
+            (
+                "_cameras",
+                Pinholes(np.stack([c.R for c in cameras]), np.stack([c.t for c in cameras]), intrinsics),
+            ),
         ):
             object.__setattr__(self, name, value)
 
@@ -262,21 +274,20 @@ class OutlineProblem:
         return self.outlines.n_points
 
     @cached_property
-    def kernel_arguments(self) -> tuple[object, ...]:
-        """What `outline_equations` takes after the body."""
+    def terms(self) -> OutlineTerms:
+        """The problem as the kernels take it."""
         settings, o = self.settings, self.outlines
         n_used = max(1, int((o.shape[:, 0] > 0).sum()))
-        return (
-            (o.origins, o.directions, o.normals),
-            self._flesh,
-            self._flesh_joint,
+        return OutlineTerms(
+            Rays(o.origins, o.directions, o.normals),
+            FleshPoints(self._flesh, self._flesh_joint),
             self._cameras,
-            (o.corner, o.nearest, o.first, o.shape),
-            (
-                settings.scale_m,
-                settings.normal_cost_m,
-                settings.flesh_scale_m,
-                settings.flesh_gain * o.n_points / (len(self._flesh) * n_used),
+            Crops(o.corner, o.nearest, o.first, o.shape),
+            OutlinePull(
+                scale_m=settings.scale_m,
+                normal_cost_m=settings.normal_cost_m,
+                flesh_scale_m=settings.flesh_scale_m,
+                flesh_gain=settings.flesh_gain * o.n_points / (len(self._flesh) * n_used),
             ),
         )
 
@@ -290,28 +301,19 @@ class OutlineProblem:
         H, g = np.zeros((D, D)), np.zeros(D)
         if o.n_points == 0:
             return 0.0, H, g
-        cost = outline_equations(
-            np.ascontiguousarray(state, dtype=np.float64),
-            body.chain,
-            body.moves,
-            body.cones.kernel_arrays,
-            *self.kernel_arguments,
-            H,
-            g,
-        )
-        return float(cost), H, g
+        x = np.ascontiguousarray(state, dtype=np.float64)
+        return float(outline_equations(x, body.arrays, self.terms, H, g)), H, g
 
 
 @cache
-def no_outline_arguments() -> tuple[object, ...]:
-    """`OutlineProblem.kernel_arguments` where there are no outlines."""
+def no_outline_terms() -> OutlineTerms:
+    """`OutlineProblem.terms` where there are no outlines."""
     row, index = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     pairs = np.zeros((0, 2), dtype=np.int64)
-    return (
-        (row, row, row),
-        row,
-        index,
-        (np.zeros((0, 3, 3)), row, np.zeros((0, 8))),
-        (pairs, np.zeros(0, dtype=np.int32), index, pairs),
-        (1.0, 1.0, 1.0, 0.0),
+    return OutlineTerms(
+        Rays(row, row, row),
+        FleshPoints(row, index),
+        Pinholes(np.zeros((0, 3, 3)), row, np.zeros((0, 8))),
+        Crops(pairs, np.zeros(0, dtype=np.int32), index, pairs),
+        OutlinePull(1.0, 1.0, 1.0, 0.0),
     )

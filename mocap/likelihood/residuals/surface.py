@@ -13,7 +13,13 @@ from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.voxels import VoxelGrid, Voxels
+from mocap.likelihood.residuals._pull_kernels import FleshPoints
 from mocap.likelihood.residuals._surface_kernels import (
+    Blocks,
+    HullPoints,
+    SurfacePull,
+    SurfaceTerms,
+    Volume,
     distance_to_cones,
     share_within,
     sort_into_blocks,
@@ -57,7 +63,7 @@ class HullSurface:
     volume: PackedVolume
 
     @cached_property
-    def blocks(self) -> tuple[Array, float, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    def blocks(self) -> Blocks:
         """The points by cubes, as the kernels look for the nearest in them."""
         side = _BLOCK_VOXELS * self.volume.grid.voxel_size_m
         low, high = (
@@ -67,9 +73,9 @@ class HullSurface:
         )
         shape = np.floor((high - low) / side).astype(np.int64) + 1
         first = np.empty(int(shape.prod()) + 1, dtype=np.int64)
-        rows = np.empty(len(self.points), dtype=np.int64)
-        sort_into_blocks(self.points, low, side, shape, first, rows)
-        return low, side, shape, first, rows
+        blocks = Blocks(low, side, shape, first, np.empty(len(self.points), dtype=np.int64))
+        sort_into_blocks(self.points, blocks)
+        return blocks
 
 
 def hull_surface(
@@ -143,25 +149,23 @@ class SurfaceProblem:
         return len(self._points)
 
     @cached_property
-    def kernel_arguments(self) -> tuple[object, ...]:
-        """What `surface_equations` takes after the body."""
+    def terms(self) -> SurfaceTerms:
+        """The problem as the kernels take it."""
         settings, volume = self.settings, self.hull.volume
         voxel = volume.grid.voxel_size_m
         per_flesh = len(self._points) / len(self._flesh)
-        blocks = self.hull.blocks
-        return (
-            (self._points, self._normals, self.hull.points, blocks),
-            self._flesh,
-            self._flesh_joint,
+        return SurfaceTerms(
+            HullPoints(self._points, self._normals, self.hull.points, self.hull.blocks),
+            FleshPoints(self._flesh, self._flesh_joint),
             self._may_meet,
-            (volume.crop, volume.lower_m, voxel),
-            (
-                0.5 * voxel,
-                settings.scale_m,
-                settings.normal_cost_m,
-                settings.flesh_scale_m,
-                settings.flesh_gain * per_flesh,
-                settings.penetration_gain * per_flesh,
+            Volume(volume.crop, volume.lower_m, voxel),
+            SurfacePull(
+                excess_m=0.5 * voxel,
+                scale_m=settings.scale_m,
+                normal_cost_m=settings.normal_cost_m,
+                flesh_scale_m=settings.flesh_scale_m,
+                flesh_gain=settings.flesh_gain * per_flesh,
+                penetration_gain=settings.penetration_gain * per_flesh,
             ),
         )
 
@@ -175,16 +179,8 @@ class SurfaceProblem:
         H, g = np.zeros((D, D)), np.zeros(D)
         if len(self._points) == 0:
             return 0.0, H, g
-        cost = surface_equations(
-            np.ascontiguousarray(state, dtype=np.float64),
-            body.chain,
-            body.moves,
-            body.cones.kernel_arrays,
-            *self.kernel_arguments,
-            H,
-            g,
-        )
-        return float(cost), H, g
+        x = np.ascontiguousarray(state, dtype=np.float64)
+        return float(surface_equations(x, body.arrays, self.terms, H, g)), H, g
 
     def unexplained(self, state: Array, distance_m: float) -> Array:
         """Hull points further than distance_m outside the flesh of a state (D,): (U, 3) m, world."""
