@@ -94,7 +94,7 @@ def draw_posteriors(ax: Any) -> None:
     mean = SEEN / NOISE**2 / precision
     exact = np.sqrt(precision / (2 * np.pi)) * np.exp(-0.5 * precision * (x - mean) ** 2)
     ax.fill_between(x, exact, color="#d9dde2", label="posterior")
-    for k, name in enumerate(("pfcr", "sbps")):
+    for k, name in enumerate(("pfcr-equal", "sbps")):
         settings = filter_settings(
             FilterBudget(name, n_particles=N_PARTICLES, n_layers=1),
             problem.layout,

@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eval.decomposition.store import RESULTS, ROOT
-from eval.decomposition.tables import LABELS, read_csv, write_csv
+from eval.decomposition.tables import LABELS, read_csv
+from eval.whole import save_figure, write_csv
 from mocap.body import Body, landmarks_of
 from mocap.data.problem import ArticulatedProblem
 from mocap.filters import FILTERS, FilterBudget, ParticleState, filter_settings, initial_particles
@@ -44,6 +45,7 @@ LAYERS = {
     "parallel-ps": 1,
     "sbps": 1,
     "pfcr": 1,
+    "pfcr-equal": 1,
     "psapf": 2,
     "sbapf": 2,
     "psipf": 1,
@@ -51,7 +53,9 @@ LAYERS = {
     "hpso": 4,
     "apsopf": 4,
     "chapsopf": 4,
+    "chapsopf-printed": 4,
     "hapsopf": 4,
+    "hapsopf-printed": 4,
 }
 OTHERS = 4  # layers of filters that are registered later
 FIELDS = (
@@ -264,7 +268,7 @@ def picture() -> Path:
     handles, names = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside right upper", fontsize=8)
     path = RESULTS / "decomposition_3d.png"
-    figure.savefig(path, format="png")
+    save_figure(figure, path)
     return path
 
 

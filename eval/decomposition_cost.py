@@ -13,7 +13,6 @@ linear in N; at |P_j| = 8, K = 4, N = 600 resampling takes 80.5 s in PS and 22.3
 
 from __future__ import annotations
 
-import csv
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,13 +22,14 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
+from eval.whole import save_figure, write_csv
 from mocap.data import StateLayout
 from mocap.filters import FILTERS, FilterBudget, filter_settings, initial_particles
 
 Array = NDArray[np.float64]
 
 RESULTS = Path(__file__).with_name("results")
-METHODS = ("ps", "parallel-ps", "sbps", "pfcr")
+METHODS = ("ps", "parallel-ps", "sbps", "pfcr-equal")
 PARTICLES = (100, 200, 400, 800, 1600, 3200, 6400)
 ARMS = (2, 4, 8, 16, 32)
 N_LEVELS = 4
@@ -114,11 +114,7 @@ def main() -> None:
                     "swapping_ms": round(swapping, 4),
                 }
             )
-    RESULTS.mkdir(exist_ok=True)
-    with (RESULTS / "decomposition_cost.csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(RESULTS / "decomposition_cost.csv", list(rows[0]), rows)
     for axis, title in (("n_particles", "over N, P = 25"), ("n_parts", "over P, N = 1600")):
         print(title)
         for method in METHODS:
@@ -166,7 +162,7 @@ def _picture(rows: Sequence[dict[str, str | int | float]]) -> None:
         ax.grid(color="#d9dde2", lw=0.5)
     figure.suptitle("Resampling and swapping, processor time", fontsize=11)
     ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.savefig(RESULTS / "decomposition_cost.png", format="png")
+    save_figure(figure, RESULTS / "decomposition_cost.png")
 
 
 if __name__ == "__main__":

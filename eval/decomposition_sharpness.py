@@ -21,7 +21,7 @@ from eval.decomposition.cells import SHARPNESS, Cell, RunKey, SceneKey
 from eval.decomposition.pictures import picture_of
 from eval.decomposition.tables import Seeds, Table, parse_seeds, run_tables, summary
 
-METHODS = (("ps", 1), ("sbps", 1), ("pfcr", 1), ("psapf", 2), ("sbapf", 2))
+METHODS = (("ps", 1), ("sbps", 1), ("pfcr-equal", 1), ("psapf", 2), ("sbapf", 2))
 
 
 def sharpness_table(seeds: Seeds) -> Table:

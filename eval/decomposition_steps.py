@@ -22,7 +22,7 @@ from eval.decomposition.store import Row
 from eval.decomposition.tables import LABELS, Seeds, Table, parse_seeds, run_tables, summary
 
 # Filter and layers; walks are percent of the reported one, which is the world "sw".
-METHODS = (("sbps", 1), ("pfcr", 1), ("psapf", 2))
+METHODS = (("sbps", 1), ("pfcr-equal", 1), ("psapf", 2))
 
 
 def _name_of(row: Row) -> str:
@@ -38,13 +38,15 @@ def steps_table(seeds: Seeds) -> Table:
                 for percent in (100, *STEP_WIDTHS):
                     world = "sw" if percent == 100 else f"step_{percent}"
                     cells += seeds.cells(SceneKey(world, 4, n_levels), RunKey(method, n, n_layers))
-    others = [f"{LABELS[method]} x {factor}" for method in ("sbps", "pfcr") for factor in (0.5, 0.71, 1.41)]
+    others = [
+        f"{LABELS[method]} x {factor}" for method in ("sbps", "pfcr-equal") for factor in (0.5, 0.71, 1.41)
+    ]
     pairs = [
-        *((name, f"{name.split()[0]} x 1") for name in others),
-        *((f"{LABELS[method]} x 1", "APF x 1") for method in ("sbps", "pfcr")),
+        *((name, f"{name.rpartition(' x ')[0]} x 1") for name in others),
+        *((f"{LABELS[method]} x 1", "APF x 1") for method in ("sbps", "pfcr-equal")),
         *((name, "APF x 1") for name in others),
         *((f"APF x {factor}", "APF x 1") for factor in (0.5, 0.71, 1.41)),
-        *((f"{LABELS[method]} x 1.41", "APF x 1.41") for method in ("sbps", "pfcr")),
+        *((f"{LABELS[method]} x 1.41", "APF x 1.41") for method in ("sbps", "pfcr-equal")),
     ]
     orders = [(better, worse, float("nan")) for better, worse in pairs]
     return Table("Steps", cells, ("n_levels", "n_evaluations"), lambda cell: orders, {}, _name_of)

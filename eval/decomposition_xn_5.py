@@ -1,6 +1,6 @@
 """XN chapter 5: combinatorial resampling and the filter built on it (PFCR).
 
-What is re-run: Figure 5-8 and Table 5.1 (six resampling schemes in PS, the sixth being PFCR, error and time over N),
+What is re-run: Figure 5-8 and Table 5.1 (six resampling schemes in PS, error and time over N),
 Figures 5-9 to 5-11 (over K), 5-12 to 5-14 (over |P_j|), 5-15 to 5-17 (over N), 5-18 (over the layers). SBPS, APF and
 SBAPF are the runs of eval.decomposition_xn_4.
 Writes eval/results/decomposition_xn_5.csv, decomposition_xn_5_ranking.csv and PNG.
@@ -29,13 +29,17 @@ from eval.decomposition_xn_4 import over_layers, sweeps
 
 _NAN = float("nan")
 _TIMED_FRAMES = 60  # enough for a time per frame
-METHODS = (("sbps", 1), ("psapf", 2), ("sbapf", 2), ("pfcr", 1))
+METHODS = (("sbps", 1), ("psapf", 2), ("sbapf", 2), ("pfcr", 1), ("pfcr-equal", 1))
+READINGS = ("pfcr", "pfcr-equal", "pfcr-carried")
 SCHEMES = ("multinomial", "systematic", "stratified", "residual", "weighted")
 OBJECTS = ((4, 4), (4, 6), (8, 4))  # |P_j|, K of Figure 5-7
 
 
 def schemes(seeds: Seeds) -> Table:
-    """Figure 5-8 and Table 5.1: the resampling schemes inside PS, and the combinatorial one, which is PFCR."""
+    """Figure 5-8 and Table 5.1: the resampling schemes inside PS, and the combinatorial one.
+
+    All have equal weights after the draw, so that the last is PFCR with equal weights.
+    """
     cells: list[Cell] = []
     counts = (20, 50, 100, 200, 300, 600) if seeds.is_full else (20, 100)
     for n_arms, n_levels in OBJECTS:
@@ -43,7 +47,7 @@ def schemes(seeds: Seeds) -> Table:
         for n in counts:
             for scheme in SCHEMES if seeds.is_full else ("multinomial", "systematic", "residual", "weighted"):
                 cells += seeds.cells(scene, RunKey("ps", n, resampling=scheme))
-            cells += seeds.cells(scene, RunKey("pfcr", n))
+            cells += seeds.cells(scene, RunKey("pfcr-equal", n))
     return Table(
         "XN Figure 5-8",
         cells,
@@ -64,15 +68,24 @@ def times(seeds: Seeds) -> Table:
             scene = SceneKey("xn4", n_arms, n_levels)
             for scheme in SCHEMES:
                 cells += one.cells(scene, RunKey("ps", n, resampling=scheme))
-            cells += one.cells(scene, RunKey("pfcr", n))
+            cells += one.cells(scene, RunKey("pfcr-equal", n))
     return Table(
         "XN Table 5.1", cells, ("n_arms", "n_levels", "n_evaluations"), lambda cell: [], {}, name_of=scheme_of
     )
 
 
+def readings(seeds: Seeds) -> Table:
+    """What becomes of the weights of drawn particles: kept and drawn by, made equal, or carried to the frame's end."""
+    cells: list[Cell] = []
+    for n_arms, n_levels in ((4, 3), (4, 6), (3, 4), (8, 4)):
+        for name in READINGS:
+            cells += seeds.cells(SceneKey("xn4", n_arms, n_levels), RunKey(name, 50))
+    return Table("PFCR read otherwise", cells, ("n_arms", "n_levels", "n_evaluations"), lambda cell: [], {})
+
+
 def scheme_of(row: Row) -> str:
     """The name of the resampling scheme."""
-    return "combinatorial" if row["filter"] == "pfcr" else row["resampling"]
+    return "combinatorial" if row["filter"] == "pfcr-equal" else row["resampling"]
 
 
 def published_ms(scheme: str, n_arms: int, n_levels: int, n: int) -> float:
@@ -87,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     figures = ("XN Figure 5-9", "XN Figure 5-12", "XN Figure 5-15")
     tables = [schemes(seeds), *sweeps(seeds, METHODS, figures, (best, best, best))]
     tables.append(over_layers("XN Figure 5-18", seeds, [("sbapf", 2), ("pfcr", 1)]))
-    tables.append(times(seeds))
+    tables += [readings(seeds), times(seeds)]
     claims = run_tables("xn_5", tables, seeds)
     picture_of("xn_5", [t for t in tables if t.x])
     sys.stdout.write(summary(claims) + "\n")

@@ -9,6 +9,7 @@ import numpy as np
 
 from eval.decomposition.store import RESULTS
 from eval.decomposition.tables import Table, read_csv
+from eval.whole import save_figure
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555")
 STYLES = ("-", "--", "-.", ":")
@@ -80,7 +81,7 @@ def picture_of(
         axes.legend(fontsize=6)
     path = out or RESULTS / f"decomposition_{name}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format="png")
+    save_figure(figure, path)
     return path
 
 

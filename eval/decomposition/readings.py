@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mocap.data.problem import ArticulatedProblem, StateLayout
 from mocap.filters import FILTERS, Filter, FilterInfo, ParticleState, Step
 from mocap.filters._swarm import SwarmSettings
-from mocap.filters.hapsopf import hapsopf_step
+from mocap.filters.hapsopf import hapsopf_printed_step
 from mocap.filters.partitioned import Partial, PartitionedSettings, partitioned_step
 from mocap.filters.parts import part_sets
 from mocap.filters.pfcr import combine_parts
@@ -81,25 +81,30 @@ def to_relative(tree: PolygonTree) -> Array:
     return out
 
 
-def combine_as_printed(
+def combine_carried(
     layout: StateLayout, partial: Partial, parts: list[int], *, scheme: str, rng: np.random.Generator
 ) -> Partial:
-    """Combinatorial resampling whose draws keep the product of their weights.  Source: XN Alg. 5.1, lines 4 and 7."""
+    """Combinatorial resampling whose weights wait: no set draws by them, the frame's estimate uses all of them.
+
+    XN 5.2.2 puts it in the place of exchange and resampling, so the weights it keeps may be meant to be carried only.
+    """
     drawn = combine_parts(layout, partial, parts, scheme=scheme, rng=rng)
-    weights, _ = normalise_log_weights(drawn.scores[:, parts].sum(axis=1))
+    if parts != part_sets(layout)[-1]:
+        return drawn
+    weights, _ = normalise_log_weights(drawn.scores.sum(axis=1))
     return drawn.with_weights(weights)
 
 
-def pfcr_as_printed_step(
+def pfcr_carried_step(
     problem: ArticulatedProblem,
     state: ParticleState,
     settings: PartitionedSettings,
     *,
     rng: np.random.Generator,
 ) -> tuple[ParticleState, FilterInfo]:
-    """PFCR that uses the weights of a set twice: once to draw, once more to weigh and draw again."""
+    """PFCR whose particles carry the product of their drawn weights over the sets, without a second draw."""
     sets = part_sets(problem.layout)
-    return partitioned_step(problem, state, settings, sets, rng=rng, recombination=combine_as_printed)
+    return partitioned_step(problem, state, settings, sets, rng=rng, recombination=combine_carried)
 
 
 def _smoothing(step: Step[PsapfSettings]) -> Step[PsapfSettings]:
@@ -117,23 +122,23 @@ def _smoothing(step: Step[PsapfSettings]) -> Step[PsapfSettings]:
     return capped
 
 
-def hapsopf_drawn_step(
+def hapsopf_frame_drawn_step(
     problem: ArticulatedProblem, state: ParticleState, settings: SwarmSettings, *, rng: np.random.Generator
 ) -> tuple[ParticleState, FilterInfo]:
-    """HAPSOPF whose particles are drawn by their weights before every frame, as in a particle filter.
+    """HAPSOPF as printed whose particles are drawn by their weights before every frame, as in a particle filter.
 
     XN Alg. 6.1 lets each start from its own last best.
     """
     n = settings.n_particles
     particles = state.particles[systematic(state.weights, n, rng=rng)]
-    return hapsopf_step(problem, ParticleState(particles, np.full(n, 1.0 / n)), settings, rng=rng)
+    return hapsopf_printed_step(problem, ParticleState(particles, np.full(n, 1.0 / n)), settings, rng=rng)
 
 
 def hapsopf_narrow_step(
     problem: ArticulatedProblem, state: ParticleState, settings: SwarmSettings, *, rng: np.random.Generator
 ) -> tuple[ParticleState, FilterInfo]:
-    """HAPSOPF whose noise shrinks faster: alpha_0, which XN 6.1.2 leaves open, is 0.1 instead of 0.5."""
-    return hapsopf_step(problem, state, replace(settings, covariance_factor=0.1), rng=rng)
+    """HAPSOPF as printed whose noise shrinks faster: alpha_0, which XN 6.1.2 leaves open, is 0.1 instead of 0.5."""
+    return hapsopf_printed_step(problem, state, replace(settings, covariance_factor=0.1), rng=rng)
 
 
 def _read_otherwise(base: str, name: str, label: str, step: Step[Any]) -> Filter[Any]:
@@ -143,11 +148,18 @@ def _read_otherwise(base: str, name: str, label: str, step: Step[Any]) -> Filter
 READINGS: dict[str, Filter[Any]] = {
     one.name: one
     for one in (
-        _read_otherwise("pfcr", "pfcr-printed", "PFCR as printed", pfcr_as_printed_step),
+        _read_otherwise("pfcr", "pfcr-carried", "PFCR, weights carried", pfcr_carried_step),
         _read_otherwise("psapf", "psapf-smooth", "APF, beta <= 1", _smoothing(psapf_step)),
         _read_otherwise("sbapf", "sbapf-smooth", "SBAPF, beta <= 1", _smoothing(sbapf_step)),
-        _read_otherwise("hapsopf", "hapsopf-drawn", "HAPSOPF, drawn", hapsopf_drawn_step),
-        _read_otherwise("hapsopf", "hapsopf-narrow", "HAPSOPF, alpha_0 = 0.1", hapsopf_narrow_step),
+        _read_otherwise(
+            "hapsopf-printed",
+            "hapsopf-frame-drawn",
+            "HAPSOPF as printed, drawn every frame",
+            hapsopf_frame_drawn_step,
+        ),
+        _read_otherwise(
+            "hapsopf-printed", "hapsopf-narrow", "HAPSOPF as printed, alpha_0 = 0.1", hapsopf_narrow_step
+        ),
     )
 }
 

@@ -1,4 +1,8 @@
-"""Many cells: results in a CSV that grows, so that a stopped evaluation goes on where it stopped."""
+"""Many cells: results in a CSV that grows, so that a stopped evaluation goes on where it stopped.
+
+The growing file lies in out/ and belongs to a machine. What a finished evaluation used is written whole beside its
+table, eval/results/decomposition_NAME_cells.csv, and read as well, so that nobody has to compute a cell again.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +15,14 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from eval.decomposition.cells import KEY_FIELDS, VALUE_FIELDS, Cell, RunKey, SceneKey, run_scene
+from eval.whole import write_csv
 
 ROOT = Path(__file__).resolve().parents[2]
 STORE = ROOT / "out" / "eval" / "decomposition" / "cells.csv"
 RESULTS = ROOT / "eval" / "results"
 
 Row = dict[str, str]
+CELL_FIELDS = (*KEY_FIELDS, *VALUE_FIELDS)
 
 
 def read_rows(path: Path = STORE) -> dict[tuple[str, ...], Row]:
@@ -26,6 +32,20 @@ def read_rows(path: Path = STORE) -> dict[tuple[str, ...], Row]:
     with path.open(newline="", encoding="utf-8") as stream:
         rows = [row for row in csv.DictReader(stream) if row.get("status")]
     return {_key(row): row for row in rows}
+
+
+def known_rows(path: Path = STORE, results: Path = RESULTS) -> dict[tuple[str, ...], Row]:
+    """Rows of the committed files and, over them, of a store."""
+    rows: dict[tuple[str, ...], Row] = {}
+    for file in sorted(results.glob("decomposition_*_cells.csv")):
+        rows |= read_rows(file)
+    return rows | read_rows(path)
+
+
+def write_cells(name: str, rows: Iterable[Row], results: Path = RESULTS) -> None:
+    """The cells of a finished evaluation beside its table, each once; failed ones are left out."""
+    own = {_key(row): {f: row[f] for f in CELL_FIELDS} for row in rows if row["status"] == "ok"}
+    write_csv(results / f"decomposition_{name}_cells.csv", CELL_FIELDS, [own[key] for key in sorted(own)])
 
 
 def _key(row: Row) -> tuple[str, ...]:
@@ -40,7 +60,7 @@ def append_rows(rows: Iterable[Row], path: Path = STORE) -> None:
     with path.open("a", newline="", encoding="utf-8") as stream:
         if not text_ends:
             stream.write("\n")
-        writer = csv.DictWriter(stream, (*KEY_FIELDS, *VALUE_FIELDS), lineterminator="\n")
+        writer = csv.DictWriter(stream, CELL_FIELDS, lineterminator="\n")
         if is_new:
             writer.writeheader()
         writer.writerows(rows)
@@ -48,7 +68,7 @@ def append_rows(rows: Iterable[Row], path: Path = STORE) -> None:
 
 def missing(cells: Iterable[Cell], path: Path = STORE) -> dict[SceneKey, list[RunKey]]:
     """Cells without a result, by scene. Failed ones count as missing: they are tried again."""
-    rows = read_rows(path)
+    rows = known_rows(path)
     todo: dict[SceneKey, list[RunKey]] = {}
     for cell in dict.fromkeys(cells):
         row = rows.get(_key(cell.key()))
@@ -82,7 +102,7 @@ def run_cells(cells: Sequence[Cell], *, n_workers: int, path: Path = STORE) -> l
                 else:
                     _say(f"lost {futures[future]}: {type(error).__name__}: {error}")
                 _say_progress(i + 1, len(todo), futures[future], begun)
-    rows = read_rows(path)
+    rows = known_rows(path)
     lost = dict.fromkeys(VALUE_FIELDS, "") | {"status": "lost"}
     return [rows.get(_key(cell.key()), cell.key() | lost) for cell in cells]
 

@@ -19,7 +19,8 @@ from eval.decomposition.statistics import (
     grouped,
     share_that_holds,
 )
-from eval.decomposition.store import RESULTS, STORE, Row, run_cells
+from eval.decomposition.store import RESULTS, STORE, Row, read_rows, run_cells, write_cells
+from eval.whole import write_csv
 from mocap.filters import FILTERS
 
 # What the sources call the filters. XN's "APF" anneals part after part, its "PFAPF" the whole.
@@ -33,13 +34,17 @@ Pairs = Callable[[tuple[str, ...]], Iterable[tuple[str, str, float]]]
 
 @dataclass(frozen=True)
 class Seeds:
-    """Which scenes and which runs on each; how many processes; everything or a sample; n_frames 0 = all."""
+    """Which scenes and which runs on each; how many processes; everything or a sample; n_frames 0 = all.
+
+    only : names of tables; none = all.
+    """
 
     scenes: tuple[int, ...]
     runs: tuple[int, ...]
     n_workers: int
     is_full: bool
     n_frames: int = 0
+    only: tuple[str, ...] = ()
 
     def cells(self, scene: SceneKey, run: RunKey) -> list[Cell]:
         """A cell for every seed."""
@@ -62,6 +67,7 @@ def parse_seeds(description: str, argv: Sequence[str] | None = None) -> Seeds:
     parser.add_argument("--scenes", type=int, help="scenes per cell (3, with --full 5)")
     parser.add_argument("--runs", type=int, help="runs per scene (2, with --full 4)")
     parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--only", nargs="+", default=(), help="names of tables; the others stay as they are")
     args = parser.parse_args(argv)
     scenes, runs, frames = (5, 4, 0) if args.full else (3, 2, _QUICK_FRAMES)
     return Seeds(
@@ -70,6 +76,7 @@ def parse_seeds(description: str, argv: Sequence[str] | None = None) -> Seeds:
         n_workers=args.workers,
         is_full=args.full,
         n_frames=frames,
+        only=tuple(args.only),
     )
 
 
@@ -114,20 +121,47 @@ CLAIM_FIELDS = ("table", "cell", "better", "worse", "published", "ratio", "low",
 
 
 def run_tables(name: str, tables: Sequence[Table], seeds: Seeds, *, store: Path = STORE) -> list[Claim]:
-    """Compute what is missing, then write eval/results/decomposition_NAME.csv, ..._ranking.csv and the picture."""
-    cells = [cell for table in tables for cell in table.cells]
+    """Compute what is missing, then write eval/results/decomposition_NAME.csv, ..._ranking.csv and ..._cells.csv.
+
+    seeds.only : names of tables to compute; lines and cells of the others stay as an earlier call wrote them.
+    """
+    chosen = [table for table in tables if not seeds.only or table.name in seeds.only]
+    cells = [cell for table in chosen for cell in table.cells]
     rows = dict(zip(cells, run_cells(cells, n_workers=seeds.n_workers, path=store), strict=True))
-    lines: list[dict[str, str]] = []
+    lines: dict[str, list[dict[str, str]]] = {}
+    orders: dict[str, list[dict[str, str]]] = {}
     claims: list[Claim] = []
-    for table in tables:
+    for table in chosen:
         own = [rows[cell] for cell in dict.fromkeys(table.cells)]
-        lines += result_lines(table, own)
-        claims += claims_between(
+        lines[table.name] = result_lines(table, own)
+        found = claims_between(
             table.name, own, cell_fields=table.cell_fields, pairs=table.pairs, name_of=table.name_of
         )
-    write_csv(RESULTS / f"decomposition_{name}.csv", RESULT_FIELDS, lines)
-    write_csv(RESULTS / f"decomposition_{name}_ranking.csv", CLAIM_FIELDS, map(claim_line, claims))
+        orders[table.name] = [claim_line(claim) for claim in found]
+        claims += found
+    _write_tables(RESULTS / f"decomposition_{name}.csv", RESULT_FIELDS, tables, lines)
+    _write_tables(RESULTS / f"decomposition_{name}_ranking.csv", CLAIM_FIELDS, tables, orders)
+    before = read_rows(RESULTS / f"decomposition_{name}_cells.csv")
+    others = [cell.key() for table in tables if table not in chosen for cell in table.cells]
+    kept = [before[key] for key in map(tuple, map(dict.values, others)) if key in before]
+    write_cells(name, [*kept, *rows.values()], RESULTS)
     return claims
+
+
+def _write_tables(
+    path: Path, fields: Sequence[str], tables: Sequence[Table], lines: dict[str, list[dict[str, str]]]
+) -> None:
+    """Lines of all tables in their order, of those that were not computed as they are in the file."""
+    before = read_csv(path)
+    write_csv(
+        path,
+        fields,
+        [
+            line
+            for table in tables
+            for line in lines.get(table.name, [old for old in before if old["table"] == table.name])
+        ],
+    )
 
 
 def result_lines(table: Table, rows: Sequence[Row]) -> list[dict[str, str]]:
@@ -185,15 +219,6 @@ def claim_line(claim: Claim) -> dict[str, str]:
         "runs": str(claim.ours.n),
         "verdict": claim.ours.verdict if claim.ours.n else "none",
     }
-
-
-def write_csv(path: Path, names: Sequence[str], lines: Iterable[dict[str, str]]) -> None:
-    """A CSV with a header."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(lines)
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:

@@ -79,12 +79,18 @@ class Swarm:
     has_velocity : moves keep a share of the last one; else they get sampling noise that shrinks.
     is_estimate_best : the estimate is the best particle; else the weighted mean.
     is_carried_on : every particle starts from its own last place; else places are drawn by weight.
+    is_settled : of swarms part by part: all particles go on from the best placement of a part; else each from its own.
+    is_drawn : of swarms part by part: particles are drawn by the weights of a part before the next one is searched,
+    as in partitioned sampling, and the last part's weights are those that come back; else weights are the product over
+    all parts.
     """
 
     attraction: Callable[[SwarmSettings, int], float]
     has_velocity: bool
     is_estimate_best: bool
     is_carried_on: bool
+    is_settled: bool = False
+    is_drawn: bool = False
 
 
 def fly(
@@ -151,24 +157,25 @@ def _start(state: ParticleState, settings: SwarmSettings, kind: Swarm, *, rng: n
 def _finish(
     problem: ArticulatedProblem,
     particles: Array,
-    log_weights: Array,
+    weights: Array,
+    score: Array,
     settings: SwarmSettings,
     kind: Swarm,
     is_degenerate: bool,
     watch: Stopwatch,
 ) -> tuple[ParticleState, FilterInfo]:
-    weights, log_mean = normalise_log_weights(log_weights)
-    top = int(np.argmax(log_weights))
+    """score : (N,) log-likelihood of the whole state, every part as it was scored when it was placed."""
+    top = int(np.argmax(score))
     best = particles[top].copy()
     mean = weighted_mean(particles, weights, problem.layout.is_circular)
     info = FilterInfo(
         estimate=best.copy() if kind.is_estimate_best else mean,
         best=best,
-        best_log_likelihood=float(log_weights[top]),
+        best_log_likelihood=float(score[top]),
         beta=np.ones(1),
         ess=np.array([effective_sample_size(weights)]),
         n_evaluations=settings.n_particles * (settings.n_iterations + 1),
-        is_degenerate=is_degenerate or not np.isfinite(log_mean),
+        is_degenerate=is_degenerate,
         seconds=watch.seconds,
     )
     return ParticleState(particles, weights), info
@@ -193,7 +200,8 @@ def whole_step(
     start = _start(state, settings, kind, rng=rng)
     everything = np.arange(problem.layout.n_columns)
     best, value = fly(problem, score, start, everything, settings, kind, rng=rng)
-    return _finish(problem, best, value, settings, kind, False, watch)
+    weights, log_mean = normalise_log_weights(value)
+    return _finish(problem, best, weights, value, settings, kind, not np.isfinite(log_mean), watch)
 
 
 def part_step(
@@ -203,16 +211,12 @@ def part_step(
     kind: Swarm,
     *,
     rng: np.random.Generator,
-    is_chained: bool = False,
 ) -> tuple[ParticleState, FilterInfo]:
-    """A swarm for every part, in the order of the layout.
-
-    is_chained : all particles go on from the best placement of a part; else each from its own best.
-    """
+    """A swarm for every part, in the order of the layout."""
     watch = Stopwatch()
     require_parts(problem, state.particles)
     x = _start(state, settings, kind, rng=rng)
-    log_weights = np.zeros(settings.n_particles)
+    total, weights = np.zeros(settings.n_particles), np.empty(0)
     is_degenerate = False
     for part in range(problem.layout.n_parts):
 
@@ -223,14 +227,20 @@ def part_step(
             is_degenerate |= is_silent
             return scores[:, 0]
 
+        if kind.is_drawn and part:
+            with watch.of("resampling"):
+                ancestors = RESAMPLING[settings.resampling](weights, settings.n_particles, rng=rng)
+            x, total = x[ancestors], total[ancestors]
         columns = problem.layout.columns_of(part)
         x, value = fly(problem, score, x, columns, settings, kind, rng=rng)
-        if is_chained:
+        if kind.is_settled:
             top = int(np.argmax(value))
             x, value = x.copy(), np.full(len(value), value[top])
             x[:, columns] = x[top, columns]
-        log_weights += value
-    return _finish(problem, x, log_weights, settings, kind, is_degenerate, watch)
+        total = total + value
+        weights, log_mean = normalise_log_weights(value if kind.is_drawn else total)
+        is_degenerate |= not np.isfinite(log_mean)
+    return _finish(problem, x, weights, total, settings, kind, is_degenerate, watch)
 
 
 def swarm_settings(budget: FilterBudget, layout: StateLayout, std: Array) -> SwarmSettings:

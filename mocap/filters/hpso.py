@@ -9,7 +9,9 @@ from mocap.filters._swarm import Swarm, SwarmSettings, constant_attraction, part
 from mocap.filters.record import Filter
 from mocap.filters.state import FilterInfo, ParticleState
 
-_SWARM = Swarm(constant_attraction, has_velocity=True, is_estimate_best=True, is_carried_on=False)
+_SWARM = Swarm(
+    constant_attraction, has_velocity=True, is_estimate_best=True, is_carried_on=False, is_settled=True
+)
 
 
 def hpso_step(
@@ -24,7 +26,7 @@ def hpso_step(
     All particles end at one pose: an optimiser has no spread.
     Source: XN 3.2.5; departs from it: the next part's last state is no extra constraint.
     """
-    return part_step(problem, state, settings, _SWARM, rng=rng, is_chained=True)
+    return part_step(problem, state, settings, _SWARM, rng=rng)
 
 
 HPSO = Filter("hpso", "HPSO", hpso_step, swarm_settings, is_part_by_part=True)

@@ -11,11 +11,11 @@ from mocap.data.problem import StateLayout
 from mocap.filters.apf import APF, SIR
 from mocap.filters.apsopf import APSOPF
 from mocap.filters.budget import FilterBudget, FilterSettings
-from mocap.filters.chapsopf import CHAPSOPF
+from mocap.filters.chapsopf import CHAPSOPF, CHAPSOPF_PRINTED
 from mocap.filters.ddma import DDMA_PF, SHBM_DDMA_PF
-from mocap.filters.hapsopf import HAPSOPF
+from mocap.filters.hapsopf import HAPSOPF, HAPSOPF_PRINTED
 from mocap.filters.hpso import HPSO
-from mocap.filters.pfcr import PFCR
+from mocap.filters.pfcr import PFCR, PFCR_EQUAL
 from mocap.filters.ps import PARALLEL_PS, PS
 from mocap.filters.psapf import PSAPF, SBAPF
 from mocap.filters.psipf import PSIPF
@@ -40,6 +40,7 @@ FILTERS: dict[str, Filter[Any]] = {
         PARALLEL_PS,
         SBPS,
         PFCR,
+        PFCR_EQUAL,
         PSAPF,
         SBAPF,
         PSIPF,
@@ -47,7 +48,9 @@ FILTERS: dict[str, Filter[Any]] = {
         HPSO,
         APSOPF,
         CHAPSOPF,
+        CHAPSOPF_PRINTED,
         HAPSOPF,
+        HAPSOPF_PRINTED,
     )
 }
 

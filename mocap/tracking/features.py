@@ -189,8 +189,8 @@ def blob_features(centers: Array, voxel_size_m: float) -> BlobFeatures:
 def is_person(features: BlobFeatures, tree: Split | bool = PERSON_TREE) -> bool:
     """The verdict of the decision tree; an empty blob or a NaN feature is no person.
 
-    Source: CF 4.2.3 (Figure 4.4: tree over weight, height and bounding box). Departs from it: thresholds set
-    by hand instead of trained, see PERSON_TREE.
+    Source: CF 4.2.3 (Figure 4.4: tree over weight, height and bounding box). Departs from it:
+    PERSON_TREE, the default, is set by hand; a trained one is `person_tree("trained")`.
     """
     node = tree
     while isinstance(node, Split):

@@ -13,7 +13,7 @@ from eval.decomposition import published, store
 from eval.decomposition.cells import KEY_FIELDS, VALUE_FIELDS, Cell, RunKey, SceneKey, run_scene, scene_of
 from eval.decomposition.statistics import group, ratio_of_means, share_that_holds
 from eval.decomposition.store import append_rows, missing, read_rows, run_cells
-from eval.decomposition.tables import Seeds, result_lines
+from eval.decomposition.tables import Seeds, Table, result_lines
 from eval.decomposition_sw_tables import several_objects, sweep_table
 from eval.decomposition_xn_6 import clutter_table
 from mocap.data.problem import StateLayout
@@ -290,3 +290,48 @@ def test_kept_cells_are_compared_with_today_s_code(
     assert "2 of 2 worlds" in out
     assert f"xn6, ps: 0.001 px kept, {rows[1]['error_px']} px today" in out
     assert "1 of 2 worlds" in out
+
+
+def test_a_check_of_nothing_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from eval.decomposition_check import main
+
+    assert main(["--store", str(tmp_path / "absent.csv")]) == 1
+    assert "no cell" in capsys.readouterr().err
+
+
+def test_committed_cells_need_no_computing_and_the_store_goes_first(tmp_path: Path) -> None:
+    cells = [Cell(TINY, RunKey("ps", n)) for n in (20, 21)]
+    rows = [c.key() | dict.fromkeys(VALUE_FIELDS, "1.5") | {"status": "ok"} for c in cells]
+    store.write_cells("one", [*rows, rows[0], rows[1] | {"n_frames": "7", "status": "lost"}], tmp_path)
+    assert len(read_rows(tmp_path / "decomposition_one_cells.csv")) == 2
+    path = tmp_path / "cells.csv"
+    append_rows([rows[1] | {"error_px": "2.5"}], path)
+    known = store.known_rows(path, tmp_path)
+    assert sorted(row["error_px"] for row in known.values()) == ["1.5", "2.5"]
+
+
+def test_tables_that_are_not_run_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import eval.decomposition.tables as tables
+
+    monkeypatch.setattr(tables, "RESULTS", tmp_path)
+
+    def table(name: str, n: int) -> Table:
+        cells = FEW.cells(TINY, RunKey("ps", n)) + FEW.cells(TINY, RunKey("sbps", n))
+        return Table(name, cells, ("n_evaluations",), lambda cell: [("SBPS", "PS", 0.5)], {})
+
+    both = [table("first", 20), table("second", 22)]
+    tables.run_tables("test", both, FEW, store=tmp_path / "cells.csv")
+    files = [tmp_path / f"decomposition_test{end}.csv" for end in ("", "_ranking", "_cells")]
+    before = [file.read_text() for file in files]
+    again = tables.run_tables("test", both, replace(FEW, only=("second",)), store=tmp_path / "cells.csv")
+    assert len(again) == 1
+    assert [file.read_text() for file in files] == before
+    other = [both[0], table("second", 24)]
+    tables.run_tables("test", other, replace(FEW, only=("second",)), store=tmp_path / "cells.csv")
+    changed = [file.read_text() for file in files]
+    assert [line for line in changed[0].splitlines() if line.startswith("first")] == [
+        line for line in before[0].splitlines() if line.startswith("first")
+    ]
+    assert "n_evaluations=24" in changed[0]
+    assert "n_evaluations=22" not in changed[0]
+    assert {row["n_evaluations"] for row in read_rows(files[2]).values()} == {"20", "24"}

@@ -10,7 +10,6 @@ from eval.decomposition.readings import (
     READINGS,
     AbsoluteAngles,
     LogDistanceProblem,
-    combine_as_printed,
     filter_named,
     to_relative,
 )
@@ -19,7 +18,7 @@ from eval.decomposition_as_printed import as_printed
 from eval.decomposition_regimes import FIRST_SCENE, WORLDS_4_5, WORLDS_6, chapter_6, chapters_4_5
 from mocap.filters import FILTERS, FilterBudget, ParticleState, filter_settings, initial_particles
 from mocap.filters.partitioned import Partial
-from mocap.filters.pfcr import combine_parts
+from mocap.filters.pfcr import combine_parts, combine_parts_weighted
 from mocap.polygons.likelihood import (
     PolygonLikelihoodSettings,
     PolygonProblem,
@@ -100,7 +99,7 @@ def test_smoothing_layers_never_sharpen(name: str) -> None:
     assert smooth.beta.max() == 1
 
 
-def test_as_printed_the_drawn_particles_keep_their_weights() -> None:
+def test_drawn_particles_of_pfcr_keep_their_weights() -> None:
     rng = np.random.default_rng(3)
     scores = np.zeros((20, TREE.layout.n_parts))
     scores[:, :4] = rng.normal(size=(20, 4))
@@ -111,7 +110,7 @@ def test_as_printed_the_drawn_particles_keep_their_weights() -> None:
     partial = Partial(particles, np.full(20, 0.05), scores, placed)
     drawn, kept = (
         combine(TREE.layout, partial, [1, 2, 3], scheme="systematic", rng=np.random.default_rng(5))
-        for combine in (combine_parts, combine_as_printed)
+        for combine in (combine_parts, combine_parts_weighted)
     )
     np.testing.assert_array_equal(drawn.particles, kept.particles)
     product = np.exp(drawn.scores[:, 1:4].sum(axis=1))
@@ -120,16 +119,18 @@ def test_as_printed_the_drawn_particles_keep_their_weights() -> None:
 
 
 def test_drawn_swarms_start_from_particles_of_weight() -> None:
-    """All weight on one particle: every other one is forgotten, while HAPSOPF itself carries them on."""
+    """All weight on one particle: every other one is forgotten, while HAPSOPF as printed carries them on."""
     scene = scene_of(SceneKey("xn6", 2, 3, n_frames=2))
     layout = scene.tree.layout
     std = 1e-6 * random_walk_std(layout)
-    settings = filter_settings(FilterBudget("hapsopf", n_particles=10, n_layers=4), layout, std)
+    settings = filter_settings(FilterBudget("hapsopf-printed", n_particles=10, n_layers=4), layout, std)
     particles = scene.states[0] + 40.0 * np.arange(10)[:, None]
     state = ParticleState(particles, np.eye(10)[0])
     problem = scene.problem(1)
-    drawn, info = filter_named("hapsopf-drawn").step(problem, state, settings, rng=np.random.default_rng(0))
-    carried, _ = FILTERS["hapsopf"].step(problem, state, settings, rng=np.random.default_rng(0))
+    drawn, info = filter_named("hapsopf-frame-drawn").step(
+        problem, state, settings, rng=np.random.default_rng(0)
+    )
+    carried, _ = FILTERS["hapsopf-printed"].step(problem, state, settings, rng=np.random.default_rng(0))
     assert np.abs(drawn.particles - scene.states[0]).max() < 0.1
     assert np.abs(carried.particles - scene.states[0]).max() > 10
     assert info.n_evaluations == 40
@@ -179,7 +180,9 @@ def test_an_absolute_film_has_the_same_numbers_as_angles_of_the_picture() -> Non
 def test_every_world_and_reading_tracks(world: str) -> None:
     """Two frames: nobody can be lost yet."""
     names = (
-        ("hapsopf", "hapsopf-drawn", "psapf-smooth") if world.startswith("xn6") else ("pfcr-printed", "sbps")
+        ("hapsopf", "hapsopf-frame-drawn", "psapf-smooth")
+        if world.startswith("xn6")
+        else ("pfcr-carried", "sbps")
     )
     found = run_scene(SceneKey(world, 2, 3, n_frames=3), [RunKey(n, 40, 2) for n in names])
     n_corners = 4 * 5

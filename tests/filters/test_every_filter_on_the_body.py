@@ -119,8 +119,8 @@ def test_impossible_budgets_are_refused() -> None:
 
 def test_the_page_names_every_filter_and_its_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     text = (Path(__file__).parents[2] / "docs" / "decomposition.md").read_text(encoding="utf-8")
-    spread = ("sir", "apf", "ps", "parallel-ps", "sbps", "sbapf", "pfcr", "psapf")
-    swarms = ("pso", "hpso", "apsopf", "chapsopf", "hapsopf")
+    spread = ("sir", "apf", "ps", "parallel-ps", "sbps", "sbapf", "pfcr", "pfcr-equal", "psapf")
+    swarms = ("pso", "hpso", "apsopf", "chapsopf", "hapsopf", "chapsopf-printed", "hapsopf-printed")
     assert [name for name in (*spread, *swarms) if f"`{name}`" not in text] == []
     (example,) = re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
     exec(compile(example, "decomposition.md", "exec"), {"__name__": "page"})
