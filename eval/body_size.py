@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from eval.pose_ablation import prepare
 from eval.pose_coverage import DEV_SESSIONS, SCENES, TEST
 from eval.pose_sessions import DEV, ROOT
+from eval.whole import write_csv
 
 RESULTS = ROOT / "eval" / "results" / "body_size.csv"
 WAYS = ("head", "poses")
@@ -161,11 +162,7 @@ def main() -> None:
             f"{way}: mean absolute error of the height {np.mean(height):.1f} mm, largest {max(height):.0f} mm; "
             f"of bones, mm: {', '.join(words)}\n"
         )
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    with RESULTS.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, FIELDS)
-        writer.writeheader()
-        writer.writerows([*rows, *new])
+    write_csv(RESULTS, FIELDS, [*rows, *new])
 
 
 if __name__ == "__main__":

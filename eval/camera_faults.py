@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from eval.whole import write_csv
 from mocap.io.session import Session, open_session
 from mocap.io.video import FrameReader
 from mocap.pipeline.config import load_config
@@ -164,10 +165,9 @@ def _write(path: Path, rows: list[Row]) -> None:
             kept = iter([dict(r) for r in csv.DictReader(file)])
     fresh = {(r["scene"], r["masks"], r["camera"]) for r in rows}
     every = [r for r in kept if (r["scene"], r["masks"], r["camera"]) not in fresh] + rows
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(sorted(every, key=lambda r: (str(r["masks"]), str(r["scene"]), str(r["camera"]))))
+    write_csv(
+        path, list(rows[0]), sorted(every, key=lambda r: (str(r["masks"]), str(r["scene"]), str(r["camera"])))
+    )
 
 
 if __name__ == "__main__":

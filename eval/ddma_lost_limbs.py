@@ -36,6 +36,7 @@ FIELDS = (
     "upper_mm",
     "body_evaluations",
 )
+FILTERS = ("apf", "shbm model2", "ddma published", "ddma own", "shbm-ddma published", "shbm-ddma own")
 # Chains of landmarks of the units of the limb model `limbs`, in its order.
 UNITS = (
     ("right_shoulder", "right_elbow", "right_wrist"),
@@ -150,7 +151,7 @@ def main() -> None:
         __doc__,
         scenes="walk_counter",
         n_frames=150,
-        names=filters,
+        names=FILTERS,
         measure=measure,
         summary=_summary,
         path=RESULTS,

@@ -30,7 +30,7 @@ What was expected was written down before the first run; the page has what came 
 - HAPSOPF as printed, drawn every frame: particles drawn by weight before each frame instead of carried on one by one.
   Added after the others had run: if poses that lost their way hold it back, it comes near APF.  alpha_0 = 0.1: so does
   this one if the noise of its last moves does; added last. Neither does: what it lacks is the draw between parts
-  (decision 33), which HAPSOPF has.
+  (decision 31), which HAPSOPF has.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Writes eval/results/decomposition_xn_6.csv, decomposition_xn_6_ranking.csv and d
 
     python -m eval.decomposition_xn_6 [--full] [--workers 2]
 
-"As printed" are HAPSOPF and CHAPSOPF without the draw between parts, XN Alg. 6.1 to the letter (decision 33).
+"As printed" are HAPSOPF and CHAPSOPF without the draw between parts, XN Alg. 6.1 to the letter (decision 31).
 Every method scores each of N particles 4 times: a draw and M = 3 iterations, or 3 annealed layers and the last.
 --quick (default): 3 scenes x 2 runs of 150 frames per cell, N = 50, the first two objects; about 4 minutes on one core.
 --full: N = 50, 200 with 5 scenes x 6 runs; about 4 hours on one core.

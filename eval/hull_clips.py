@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from eval.whole import write_csv
 from mocap.body import Body, LookUpTable, landmarks_of, neutral_state
 from mocap.data import VoxelGrid
 from mocap.filters import FilterInfo, ParticleState, initial_particles
@@ -172,21 +172,12 @@ def head(clip: HullClip, n_frames: int) -> HullClip:
     )
 
 
-def write_rows(rows: Sequence[dict[str, Any]], path: Path, fields: Sequence[str]) -> None:
-    """One row per run."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, fields)
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def compare_filters(
     description: str | None,
     *,
     scenes: str,
     n_frames: int,
-    names: Callable[[HullClip], Iterable[str]],
+    names: Sequence[str],
     measure: Callable[[HullClip, str, str, str, int], dict[str, Any]],
     summary: Callable[[Sequence[dict[str, Any]]], str],
     path: Path,
@@ -195,7 +186,7 @@ def compare_filters(
     """The command line of a comparison: every filter on every scene, kind of masks and seed, one row each in `path`.
 
     scenes, n_frames : defaults of --scenes and --frames.  measure : (clip, scene, masks, filter, seed) -> row.
-    summary : rows of one filter on one clip -> a few words.  The file is written anew after each filter.
+    summary : rows of one filter on one clip -> a few words.  The file is written when all are done.
     """
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -210,10 +201,10 @@ def compare_filters(
     for scene in args.scenes.split(","):
         for masks in args.masks.split(","):
             clip = head(load_clip(scene, masks, args.work), args.frames)
-            for name in names(clip):
+            for name in names:
                 own = [measure(clip, scene, masks, name, seed) for seed in range(args.seeds)]
                 rows += own
-                write_rows(rows, path, fields)
                 sys.stdout.write(f"{clip.name} {name}: {summary(own)}\n")
                 sys.stdout.flush()
+    write_csv(path, fields, rows)
     return rows

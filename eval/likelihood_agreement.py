@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from eval.hull_clips import ROOT, HullClip, fitted_state, head, load_clip, run_filter, write_rows
+from eval.hull_clips import ROOT, HullClip, fitted_state, head, load_clip, run_filter
 from eval.shbm_against_apf import filters
+from eval.whole import write_csv
 
 RESULTS = ROOT / "eval" / "results" / "likelihood_agreement.csv"
 TRACKING = ROOT / "eval" / "results" / "likelihood_tracking.csv"
@@ -107,18 +108,18 @@ def main() -> None:
             for n_points in (100, 200, 300):
                 rows.append(agreement(clip, scene, spread, n_points, seed=3))
                 sys.stdout.write(f"{rows[-1]}\n")
-        write_rows(rows, RESULTS, FIELDS)
         for name in _TRACKED:
             for kind in ("exact", "fast"):
                 own = [tracking(clip, scene, name, kind, seed) for seed in range(args.seeds)]
                 runs += own
-                write_rows(runs, TRACKING, TRACKING_FIELDS)
                 errors = [r["mean_mm"] for r in own]
                 spread_mm = statistics.stdev(errors) if len(errors) > 1 else 0.0
                 sys.stdout.write(
                     f"{scene} {name} {kind}: {statistics.fmean(errors):.1f} +- {spread_mm:.1f} mm\n"
                 )
                 sys.stdout.flush()
+    write_csv(RESULTS, FIELDS, rows)
+    write_csv(TRACKING, TRACKING_FIELDS, runs)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from eval.hull_clips import ROOT, HullClip, head, load_clip, run_filter, write_rows
+from eval.hull_clips import ROOT, HullClip, head, load_clip, run_filter
+from eval.whole import save_figure, write_csv
 
 RESULTS = ROOT / "eval" / "results" / "markerless_findings.csv"
 FIELDS = (
@@ -177,7 +178,7 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
         ax.set_ylabel("MMTA, %")
     figure.axes[0].legend(fontsize=8)
     figure.suptitle("Markerless APF, 3,600 evaluations where not said otherwise (CF Figures 6.16 to 6.18)")
-    figure.savefig(path, dpi=100)
+    save_figure(figure, path, dpi=100)
 
 
 def main() -> None:
@@ -201,12 +202,12 @@ def main() -> None:
                 known[key] = [measure(clip, variant, scene, args.masks, s) for s in range(args.seeds)]
             own = [r | {"finding": variant.finding, "variant": variant.name} for r in known[key]]
             rows += own
-            write_rows(rows, RESULTS, FIELDS)
             sys.stdout.write(
                 f"{scene} {variant.finding}, {variant.name}: mean {statistics.fmean(r['mean_mm'] for r in own):.1f} "
                 f"mm, MMTA {statistics.fmean(r['mmta_percent'] for r in own):.1f} %\n"
             )
             sys.stdout.flush()
+    write_csv(RESULTS, FIELDS, rows)
     plot(rows, RESULTS.with_suffix(".png"))
 
 

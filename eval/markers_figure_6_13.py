@@ -23,7 +23,6 @@ when the CPU is free. One clip and one seed per cell: single cells scatter by so
 from __future__ import annotations
 
 import argparse
-import csv
 import hashlib
 import sys
 import time
@@ -35,6 +34,7 @@ from typing import Any
 import numpy as np
 
 from eval.markers_table_6_3 import PUBLISHED, Clip, Detector, Filter, make_clip, prepare, run_cell
+from eval.whole import save_figure, write_csv
 from mocap.errors import MocapError
 from mocap.pipeline.cluster import Engine, Job, Standing, run_jobs
 from mocap.pipeline.cluster.spec import sample_indices
@@ -162,7 +162,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
             if i == len(variances) - 1:
                 ax.set_xlabel("particles per layer", size=8)
     figure.colorbar(shown, ax=axes, label="MMTA, % of landmarks within 100 mm", shrink=0.6)
-    figure.savefig(path, dpi=64)
+    save_figure(figure, path, dpi=64)
 
 
 def say(rows: Sequence[dict[str, Any]]) -> None:
@@ -248,11 +248,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"failed: {job.parameters}: {found[job.key].error}", file=sys.stderr)
     if not rows:
         return 1
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    with RESULTS.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(RESULTS, list(rows[0]), rows)
     draw(rows, PICTURE)
     say(rows)
     print(f"{len(rows)} cells; this call took {time.perf_counter() - started:.0f} s")

@@ -13,7 +13,6 @@ Some 3 minutes on two idle cores; --full is the source's grid of 360 detectors a
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from eval.whole import save_figure, write_csv
 from mocap.likelihood.markers import MarkerObservation, MarkerViews, marker_views, observe
 from mocap.pipeline.config import Config, load_config
 from mocap.pose.marker_person import Prepared, prepare_person
@@ -267,7 +267,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     axes[5].set_xticks(at, actions)
     axes[5].set(ylabel="MMTA, %", ylim=(0, 119))
     axes[5].legend(fontsize=6.5, loc="upper center", ncols=3, columnspacing=1.0)
-    figure.savefig(path, dpi=90)
+    save_figure(figure, path, dpi=90)
 
 
 def say(rows: Sequence[dict[str, Any]]) -> None:
@@ -310,11 +310,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             for detector, which in grid(is_full=options.full):
                 rows.append(run_cell(clip, person, detector, which, seed))
             print(f"{action}, seed {seed}: done", file=sys.stderr, flush=True)
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    with RESULTS.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(RESULTS, list(rows[0]), rows)
     draw(rows, PICTURE)
     say(rows)
     return 0

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.pose_sessions import DEV, ROOT
+from eval.whole import write_csv
 
 RESULTS = ROOT / "eval" / "results" / "pose_ablation.csv"
 SCENES = ("walk", "box", "gesture")
@@ -147,7 +148,6 @@ def main() -> None:
         name, _, settings = own.partition(":")
         variants[name] = tuple(settings.split(","))
     rows = read_rows()
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
     for name in names:
         folder, out = prepare(name, arguments.work, trust_store=arguments.trust_store)
         for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
@@ -158,11 +158,8 @@ def main() -> None:
                     folder, out, settings, seed
                 )
                 rows.append({k: str(row.get(k, "")) for k in FIELDS})
-                with RESULTS.open("w", encoding="utf-8", newline="") as stream:
-                    writer = csv.DictWriter(stream, FIELDS)
-                    writer.writeheader()
-                    writer.writerows(rows)
                 print(" ".join(f"{row.get(k, '')}" for k in FIELDS), flush=True)
+    write_csv(RESULTS, FIELDS, rows)
     wanted = [r for r in rows if r["variant"] in variants and r["session"] in names]
     print(summary(wanted))
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from eval.pose_ablation import prepare
 from eval.pose_sessions import DEV, ROOT
+from eval.whole import save_figure, write_csv
 
 RESULTS = ROOT / "eval" / "results" / "pose_coverage.csv"
 PICTURE = ROOT / "eval" / "results" / "pose_coverage.png"
@@ -286,7 +287,7 @@ def draw(groups: dict[str, list[Claims]]) -> None:
     left.set(xlabel="region should hold, %", ylabel="truth inside, %", title="Coverage")
     right.set(xlabel="claimed deviation per axis, mm", ylabel="found, mm", title="Error against claim")
     left.legend()
-    figure.savefig(PICTURE, dpi=90)
+    save_figure(figure, PICTURE, dpi=90)
     plt.close(figure)
 
 
@@ -325,11 +326,7 @@ def main() -> None:
     if RESULTS.exists():
         with RESULTS.open(encoding="utf-8", newline="") as stream:
             kept = [r for r in csv.DictReader(stream) if r["set"] != which]
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    with RESULTS.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, FIELDS)
-        writer.writeheader()
-        writer.writerows([*kept, *(row_of(c, which) for c in found)])
+    write_csv(RESULTS, FIELDS, [*kept, *(row_of(c, which) for c in found)])
     groups: dict[str, list[Claims]] = {}
     for path in sorted((arguments.work / "coverage").glob("*.npz")):
         stem, _, seed_text = path.stem.rpartition("_")

@@ -20,6 +20,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from eval.whole import write_csv, write_text
+
 ROOT = Path(__file__).resolve().parents[1]
 DEV = ROOT.parent / "shared" / "dev_sessions"
 RESULTS = ROOT / "eval" / "results" / "pose_sessions.csv"
@@ -109,15 +111,6 @@ def measure(name: str, folder: Path | None, preset: str, seed: int, work: Path) 
     row["total_fps"] = round(n / total, 2) if pose_s else None
     row["peak_memory_mb"] = peak_memory_mb()
     return row
-
-
-def write_csv(rows: list[dict[str, Any]]) -> None:
-    """eval/results/pose_sessions.csv, one row per run."""
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    with RESULTS.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, FIELDS)
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def read_csv() -> list[dict[str, Any]]:
@@ -249,13 +242,13 @@ def main() -> None:
                     same = (name, preset, seed)
                     rows = [r for r in rows if (r["session"], r["preset"], int(r["seed"])) != same] + [row]
                     rows.sort(key=lambda r: (r["session"], PRESETS.index(r["preset"]), int(r["seed"])))
-                    write_csv(rows)
                     sys.stdout.write(
                         f"{name} {preset} seed {seed}: {row['mean_error_mm']} mm, MMTA {row['mmta_percent']} %, "
                         f"{row['pose_fps']} frames/s\n"
                     )
                     sys.stdout.flush()
-    PAGE.write_text(results_page(rows), encoding="utf-8")
+        write_csv(RESULTS, FIELDS, rows)
+    write_text(PAGE, results_page(rows))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ it on an idle machine. Writes eval/results/pose_speed.csv.
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 from eval.pose_ablation import prepare
 from eval.pose_sessions import ROOT
+from eval.whole import write_csv
 
 RESULTS = ROOT / "eval" / "results" / "pose_speed.csv"
 FIELDS = ("scene", "preset", "threads", "run", "frames", "start_s", "median_ms", "mean_ms", "frames_per_s")
@@ -73,11 +73,7 @@ def main() -> None:
             row |= measure(arguments.scene, arguments.preset, n_threads, arguments.work)
             print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
             rows.append(row)
-    RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    with RESULTS.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, FIELDS)
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(RESULTS, FIELDS, rows)
 
 
 if __name__ == "__main__":

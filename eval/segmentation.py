@@ -15,7 +15,6 @@ About 10 s per session and method, after 30 s to synthesise a scene.
 from __future__ import annotations
 
 import argparse
-import csv
 import statistics
 import sys
 import time
@@ -27,6 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from eval.whole import write_csv
 from mocap.foreground import (
     Background,
     ForegroundSettings,
@@ -154,11 +154,7 @@ def main(argv: list[str] | None = None) -> int:
         print("no session is named like that", file=sys.stderr)
         return 2
     if only is None:
-        RESULTS.parent.mkdir(parents=True, exist_ok=True)
-        with RESULTS.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, FIELDS)
-            writer.writeheader()
-            writer.writerows(rows)
+        write_csv(RESULTS, FIELDS, rows)
     return 0
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.hull_clips import ROOT, HullClip, compare_filters, run_filter
+from eval.whole import save_figure
 
 RESULTS = ROOT / "eval" / "results" / "shbm_against_apf.csv"
 FIELDS = (
@@ -40,6 +41,17 @@ PUBLISHED = {
     "shbm model1 mirror": (54.06, 47.46, 76.85),
     "shbm model2 mirror": (51.34, 45.31, 76.42),
 }
+
+
+FILTERS = (
+    "apf",
+    "apf 6x600",
+    "shbm model1 mirror",
+    "shbm model1 direct",
+    "shbm model2 mirror",
+    "shbm model2 direct",
+    "shbm model1_printed mirror",
+)
 
 
 def filters(clip: HullClip) -> dict[str, tuple[Callable[..., Any], Any]]:
@@ -126,7 +138,7 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
         ax.grid(axis="y", alpha=0.3)
     figure.axes[0].legend(fontsize=7, loc="upper left")
     figure.suptitle("APF and SHBM-APF, 2,200 particle evaluations (dotted: published on HumanEva-I)")
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)
 
 
 def _summary(own: Sequence[dict[str, Any]]) -> str:
@@ -142,7 +154,7 @@ def main() -> None:
         __doc__,
         scenes="walk,gesture",
         n_frames=60,
-        names=filters,
+        names=FILTERS,
         measure=measure,
         summary=_summary,
         path=RESULTS,

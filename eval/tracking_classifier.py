@@ -13,7 +13,6 @@ to be held out alone. Source: CF 4.2.3, Tables 4.1-4.2.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from eval.tracking import blobs as B
 from eval.tracking import hulls as H
 from eval.tracking.trees import as_split, n_leaves, verdicts, write_tree
+from eval.whole import write_csv
 from mocap.tracking import read_person_tree
 
 RESULTS = Path(__file__).with_name("results")
@@ -251,15 +251,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sizes = over_voxel_sizes([s for s in H.DEVELOPMENT if s in known], chosen.work)
     for name, coefficient in sizes.items():
         print(f"Bhattacharyya {name}: " + ", ".join(f"{cm} cm {v:.3f}" for cm, v in coefficient.items()))
-    RESULTS.mkdir(exist_ok=True)
-    with (RESULTS / "tracking_classifier.csv").open("w", newline="", encoding="utf-8") as file:
-        out = csv.DictWriter(file, rows[0], lineterminator="\n")
-        out.writeheader()
-        out.writerows(rows)
-    with (RESULTS / "tracking_features.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(["feature", "bc_5cm", "bc_10cm", "bc_15cm"])
-        table.writerows([name, *(f"{v:.3f}" for v in c.values())] for name, c in sizes.items())
+    write_csv(RESULTS / "tracking_classifier.csv", list(rows[0]), rows)
+    names = ("feature", "bc_5cm", "bc_10cm", "bc_15cm")
+    cells = [(name, *(f"{v:.3f}" for v in c.values())) for name, c in sizes.items()]
+    write_csv(RESULTS / "tracking_features.csv", names, [dict(zip(names, c, strict=True)) for c in cells])
     if chosen.write:
         write_tree(split, TREE, f"cross-validated F {cross:.4f} on development scenes")
         print(f"wrote {TREE.relative_to(H.ROOT)}")

@@ -16,7 +16,6 @@ pictures are made by `python -m eval.tracking_page`.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ from eval.tracking import hulls as H
 from eval.tracking.methods import TREES, Method, observations, run_method
 from eval.tracking.pictures import floor_plan
 from eval.tracking.runs import Row, pooled, run_all
+from eval.whole import write_csv
 
 RESULTS = Path(__file__).with_name("results")
 N_SPARSE = (50, 200, 800)
@@ -103,14 +103,12 @@ def draw_paths(scenes: Sequence[str], which: str) -> None:
 
 def write(path: Path, names: Sequence[str], found: dict[tuple[str, ...], list[Row]]) -> None:
     """A line per cell, scores pooled over scenes and seeds."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow([*names, *SCORES])
-        for cell, rows in found.items():
-            scores = pooled(rows)
-            out.writerow(
-                [*cell, *(f"{scores[k]:.4g}" if k != "n_objects" else f"{scores[k]:.0f}" for k in SCORES)]
-            )
+    lines = []
+    for cell, rows in found.items():
+        scores = pooled(rows)
+        said = {k: f"{scores[k]:.4g}" if k != "n_objects" else f"{scores[k]:.0f}" for k in SCORES}
+        lines.append(dict(zip(names, cell, strict=True)) | said)
+    write_csv(path, [*names, *SCORES], lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

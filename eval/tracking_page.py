@@ -14,6 +14,7 @@ from pathlib import Path
 from eval.tracking import hulls as H
 from eval.tracking import pictures
 from eval.tracking.published import TABLE_4_3, TABLE_4_4
+from eval.whole import write_text
 
 RESULTS = Path(__file__).with_name("results")
 PAGE = H.ROOT / "docs" / "results-tracking.md"
@@ -194,7 +195,7 @@ def main() -> None:
         if lines := read(f"tracking_table_{which}"):
             pictures.over_samples(lines, RESULTS / f"tracking_samples_{which}.png")
             pictures.over_cost(lines, RESULTS / f"tracking_cost_{which}.png")
-    PAGE.write_text(page(), encoding="utf-8")
+    write_text(PAGE, page())
 
 
 if __name__ == "__main__":

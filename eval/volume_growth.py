@@ -9,7 +9,6 @@ VoxelGrid.carve_silhouette. Writes eval/results/volume_growth.csv and .png.
 
 from __future__ import annotations
 
-import csv
 import statistics
 import sys
 import time
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eval.bench.scene import person_mask, ring
+from eval.whole import save_figure, write_csv
 from mocap.data import CameraRig, VoxelGrid
 from mocap.volume import Carver
 
@@ -183,7 +183,7 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
             ax.set_xticks([r[keys[axis]] for r in own])
     axes[0].set_ylabel("one frame, ms")
     axes[1].legend(fontsize=8, loc="center right")
-    figure.savefig(path, dpi=90)
+    save_figure(figure, path, dpi=90)
     plt.close(figure)
 
 
@@ -193,10 +193,7 @@ def main() -> int:
     for setting in SETTINGS:
         rows.append(measure(setting))
         print({k: v for k, v in rows[-1].items() if v != ""}, flush=True)
-    with (RESULTS / "volume_growth.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(RESULTS / "volume_growth.csv", list(rows[0]), rows)
     plot(rows, RESULTS / "volume_growth.png")
     return 0
 

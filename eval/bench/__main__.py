@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from eval.bench.registry import Skip, load_measures, select
+from eval.whole import write_text
 
 BASELINE = Path(__file__).with_name("baseline.json")
 
@@ -66,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
         baseline.update(
             {k: {x: v[x] for x in ("value", "unit", "better", "tolerance")} for k, v in results.items()}
         )
-        BASELINE.write_text(json.dumps(dict(sorted(baseline.items())), indent=1) + "\n")
+        write_text(BASELINE, json.dumps(dict(sorted(baseline.items())), indent=1) + "\n")
     for line in failed:
         print(line, file=sys.stderr)
     return 1 if failed else 0

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from eval.whole import save_figure
+
 Line = dict[str, str]
 COLOURS = {
     "SS-Color": "tab:red",
@@ -68,7 +70,7 @@ def _over(lines: Sequence[Line], path: Path, x: str, label: str) -> None:
         for a in axes[row]:
             a.set_ylim(low, high)
     axes[0, -1].legend(fontsize=7)
-    figure.savefig(path, dpi=90)
+    save_figure(figure, path, dpi=90)
     plt.close(figure)
 
 
@@ -93,5 +95,5 @@ def floor_plan(panels: Sequence[tuple[str, Any, Any, Sequence[Any]]], path: Path
         a.legend(fontsize=7, title="track", title_fontsize=7)
         a.tick_params(labelsize=8)
     axes[0, 0].set_xlabel("m")
-    figure.savefig(path, dpi=90)
+    save_figure(figure, path, dpi=90)
     plt.close(figure)

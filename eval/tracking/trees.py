@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eval.tracking.blobs import FEATURES
+from eval.whole import write_text
 from mocap.tracking import BlobFeatures, Split, is_person
 
 Array = NDArray[np.float64]
@@ -65,4 +66,4 @@ def write_tree(tree: Split | bool, path: Path, about: str) -> None:
     if not isinstance(tree, Split):
         raise ValueError("the tree has no split")
     add(tree)
-    path.write_text(_HEAD.format(about=about) + "\n" + "\n".join(blocks), encoding="utf-8")
+    write_text(path, _HEAD.format(about=about) + "\n" + "\n".join(blocks))

@@ -24,7 +24,7 @@ def chapsopf_step(
 ) -> tuple[ParticleState, FilterInfo]:
     """One frame of HAPSOPF with an inertial velocity in the place of the sampling noise.
 
-    Source: XN 6.2; the draw before every part as in HAPSOPF (decision 33).
+    Source: XN 6.2; the draw before every part as in HAPSOPF (decision 31).
     """
     return part_step(problem, state, settings, _DRAWN, rng=rng)
 

@@ -25,7 +25,7 @@ def hapsopf_step(
     """One frame of the hierarchical annealed particle swarm: a swarm per part that trusts its leader less and less.
 
     Before every part the particles are drawn by the weights of the part before it, as in partitioned sampling.
-    Source: XN Alg. 6.1; departs from it: the draw of XN 6.1.2, which the algorithm does not print (decision 33).
+    Source: XN Alg. 6.1; departs from it: the draw of XN 6.1.2, which the algorithm does not print (decision 31).
     """
     return part_step(problem, state, settings, _DRAWN, rng=rng)
 
