@@ -12,7 +12,7 @@ import tomllib
 import types
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import annotated_types
 from pydantic import BaseModel, TypeAdapter
@@ -55,6 +55,9 @@ _WORDS = {
 def type_words(annotation: Any) -> str:
     """A type as a person writes it."""
     origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        limits = [range_words(m) for m in arguments[1:] if isinstance(m, FieldInfo)]
+        return type_words(arguments[0]) + "".join(limits)
     if origin is Literal:
         return ", ".join(f"`{a}`" for a in arguments)
     if origin in (Union, types.UnionType):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -66,12 +67,17 @@ ObservationOption = Annotated[
 
 def main() -> None:
     """Entry point: user mistakes become one message and exit code 2, without a traceback."""
+    for number in _ENDING:
+        signal.signal(number, _stop)
     try:
         app(standalone_mode=True)
     except MocapError as error:
         _fail(str(error))
-    except KeyboardInterrupt:
-        _fail("stopped by the user. Finished stages are kept; continue with --resume.", code=130)
+    except Stopped as stopped:
+        _fail(
+            f"stopped by {stopped}. Finished stages are kept; continue with --resume.",
+            code=128 + stopped.number,
+        )
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(1)
@@ -83,6 +89,25 @@ def main() -> None:
         )
     except MemoryError:
         _fail("out of memory. Remedy: use larger voxels (--set volume.voxel_size_m=0.03) or a smaller room.")
+
+
+class Stopped(BaseException):
+    """A signal that ends the command; not an Exception, so that nobody on the way takes it for a failure."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(signal.Signals(number).name)
+
+
+# Ctrl-C, a terminal that closes, a batch system that wants its machine back.
+_ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+def _stop(number: int, frame: object) -> None:
+    """End in good order; a second signal ends at once."""
+    for other in _ENDING:
+        signal.signal(other, signal.SIG_DFL)
+    raise Stopped(number)
 
 
 def _fail(message: str, code: int = 2) -> None:
@@ -225,9 +250,10 @@ def _say_result(result: RunResult) -> None:
         typer.echo(f"  {stage:<8} {seconds:8.2f} s  {n / max(seconds, 1e-9):8.1f} frames/s")
     if result.scores is not None:
         _say_scores(result.scores)
-    report = result.out / "report.html"
-    if report.exists() and result.status == "complete":
-        typer.echo(f"Look at {report}")
+    if result.record.removed:
+        typer.echo(f"  removed  {', '.join(result.record.removed)}, of an earlier run")
+    if "report.html" in result.record.files:
+        typer.echo(f"Look at {result.out / 'report.html'}")
     else:
         typer.echo(f"Written to {result.out}")
 

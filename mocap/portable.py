@@ -1,7 +1,8 @@
-"""Differences between operating systems: the peak memory of a process, and a lock on a file."""
+"""Differences between operating systems: memory, processes, and a lock on a file."""
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import IO, Any
 
@@ -23,23 +24,46 @@ def peak_memory_mb() -> float | None:
     return round(peak * (1 if sys.platform == "darwin" else 1024) / _BYTES_PER_MB, 1)
 
 
-def lock_file(stream: IO[Any]) -> bool:
-    """Lock an open file for this process alone; False when another process holds it.
+def total_memory_bytes() -> int | None:
+    """Memory of this machine; None where the system does not tell."""
+    if sys.platform == "win32":
+        return None
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (OSError, ValueError):
+        return None
 
-    The lock goes with the process, however it ends. On a file system without locks everybody gets one.
+
+def is_running(pid: int) -> bool:
+    """Whether a process of this machine is there; True where that cannot be asked."""
+    if sys.platform == "win32":
+        return True  # os.kill would end it
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True  # somebody else's
+    return True
+
+
+def lock_file(stream: IO[Any]) -> bool | None:
+    """Lock an open file for this process alone: False when another process holds it, None where there are no locks.
+
+    The lock goes with the process, however it ends.
     """
     if sys.platform == "win32":
         return _lock_file_of_windows(stream)
     try:
         import fcntl
     except ImportError:
-        return True
+        return None
     try:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:
-        return True  # such as some network file systems
+        return None  # such as some network file systems
     return True
 
 

@@ -80,6 +80,11 @@ class StageStore:
                 if folder.exists():
                     shutil.rmtree(folder)
 
+    def remove_unfinished(self) -> None:
+        """Delete what writers have left that were stopped before they could clean up."""
+        for folder in self.path.glob(".*.partial"):
+            _discard(folder)
+
     def _about(self, stage: str) -> dict[str, Any] | None:
         _check_stage(stage)
         try:

@@ -20,7 +20,7 @@ _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # of a section, o
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 _NAMES_FILE = "names a file"
@@ -49,9 +49,9 @@ class VolumeConfig(_Section):
     """Shape from silhouette (CF 2.2.4)."""
 
     voxel_size_m: float = Field(default=0.02, gt=0.002, le=0.5)
-    n_faulty_views: int | Literal["auto"] = "auto"
+    n_faulty_views: Annotated[int, Field(ge=0)] | Literal["auto"] = "auto"
     """Cameras that may vote background for an occupied voxel; `auto` = 1 with six or more segmented cameras, else 0."""
-    min_views: int | Literal["auto"] = "auto"
+    min_views: Annotated[int, Field(ge=1)] | Literal["auto"] = "auto"
     """Cameras that must have a voxel in view; `auto` = 4, or all when there are fewer."""
     room_bounds_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     """Lower and upper corner of the room; the session's own bounds or the cameras' common view when absent."""

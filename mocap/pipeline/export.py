@@ -17,7 +17,9 @@ from mocap.io.formats import voxels
 from mocap.io.store import StageStore
 from mocap.pipeline.tracking import every_frame
 from mocap.pose.result import motion_of
+from mocap.products import poses as poses_product
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
+from mocap.products.one_run import check_one_run
 from mocap.products.poses import stored_poses
 from mocap.progress import Progress, no_progress
 
@@ -53,12 +55,7 @@ def export_run(
         raise MocapError(
             f"{what} cannot be written as {chosen!r}", remedy=f"use one of {', '.join(EXPORTS[what])}"
         )
-    if not (out / "store.zarr").is_dir():
-        raise MocapError(
-            "the folder holds no result of a run",
-            path=out / "store.zarr",
-            remedy="run `mocap run SESSION -o OUT` first",
-        )
+    check_one_run(out, PRODUCT if what == "voxels" else poses_product.PRODUCT)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     store = StageStore(out / "store.zarr")

@@ -11,9 +11,11 @@ from mocap.errors import MocapError
 from mocap.io._files import writing
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
+from mocap.pipeline.lock import sole_use
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, record_from_json
 from mocap.pipeline.report_data import write_run_report
 from mocap.pipeline.scene_frames import write_scene
+from mocap.products.one_run import check_one_run
 from mocap.products.poses import stored_poses
 from mocap.products.tracks import stored_tracks
 
@@ -25,6 +27,7 @@ def open_run(out: Path, session: Path) -> RunResult:
     other cameras, frames or frame rate than the run.
     """
     record = read_record(out)
+    check_one_run(out)
     if record.until not in ("pose", OUTPUTS):
         raise MocapError(
             f"the run is {record.status} and has no poses",
@@ -40,15 +43,17 @@ def open_run(out: Path, session: Path) -> RunResult:
 
 def rewrite_report(out: Path, session: Path) -> Path:
     """report.html of a finished run, written again from its tables and its store; gives the file."""
-    with writing(out / "report.html"):
-        write_run_report(open_run(out, session), out)
-    return out / "report.html"
+    path = out / "report.html"
+    with sole_use(out, f"mocap report {out}"), writing(path):
+        write_run_report(open_run(out, session), path)
+    return path
 
 
 def rewrite_scene(out: Path, session: Path, path: Path | None = None) -> Path:
     """The Rerun scene of a finished run, into OUT/scene.rrd or another file; gives the file."""
     target = out / "scene.rrd" if path is None else path
-    write_scene(open_run(out, session).found, target)
+    with sole_use(out, f"mocap view {out}"):
+        write_scene(open_run(out, session).found, target)
     return target
 
 

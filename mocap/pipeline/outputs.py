@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mocap.body import skeleton_of
-from mocap.errors import MissingExtra
+from mocap.errors import MissingExtra, MocapError
 from mocap.io._files import atomic_text, writing
 from mocap.io.formats import write_bvh, write_c3d, write_glb, write_trc
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
@@ -42,29 +42,41 @@ def write_tables(found: Found, folder: Path, *, has_poses: bool) -> None:
 def write_exports(found: Found, config: Config, folder: Path, *, progress: Progress) -> list[str]:
     """Write into `folder` the exports of every person and the scene; gives what was left out, and why."""
     formats, fps = config.output.formats, found.session.fps
-    steps: list[tuple[str, Callable[[], None]]] = []
+    steps: list[tuple[Path, Callable[[Path], None]]] = []
     for poses, motion in zip(found.poses, found.motions, strict=True):
-        stem = folder / f"person_{poses.person}"
         skeleton = skeleton_of(poses.body, every_frame(poses.frames, poses.states), poses.person)
-        if "bvh" in formats:
-            steps.append(("bvh", partial(write_bvh, stem.with_suffix(".bvh"), skeleton, fps)))
-        if "glb" in formats:
-            steps.append(("glb", partial(write_glb, stem.with_suffix(".glb"), skeleton, fps)))
-        if "trc" in formats:
-            steps.append(("trc", partial(write_trc, stem.with_suffix(".trc"), motion, fps)))
-        if "c3d" in formats:
-            steps.append(("c3d", partial(write_c3d, stem.with_suffix(".c3d"), motion, fps)))
+        writers: dict[str, Callable[[Path], None]] = {
+            "bvh": partial(write_bvh, skeleton=skeleton, fps=fps),
+            "glb": partial(write_glb, skeleton=skeleton, fps=fps),
+            "trc": partial(write_trc, motion=motion, fps=fps),
+            "c3d": partial(write_c3d, motion=motion, fps=fps),
+        }
+        steps += [
+            (folder / f"person_{poses.person}.{name}", write)
+            for name, write in writers.items()
+            if name in formats
+        ]
     if "rrd" in formats:
-        steps.append(("rrd", partial(write_scene, found, folder / "scene.rrd")))
+        steps.append((folder / "scene.rrd", partial(write_scene, found)))
     left_out = []
-    for i, (name, write) in enumerate(steps):
-        try:
-            write()
-        except MissingExtra as error:
-            left_out.append(f"{name} was left out: {error}")
+    for i, (path, write) in enumerate(steps):
+        left_out += written_or_why(path, write)
         progress("report", i, len(steps))
     progress("report", len(steps), len(steps))
     return left_out
+
+
+def written_or_why(path: Path, write: Callable[[Path], None]) -> list[str]:
+    """Write one file; a warning instead when that fails, for no file is worth the others."""
+    try:
+        write(path)
+    except MissingExtra as error:
+        return [f"{path.suffix[1:]} was left out: {error}"]
+    except Exception as error:  # the formats' libraries raise what they like
+        path.unlink(missing_ok=True)
+        why = str(error) if isinstance(error, MocapError) else f"{type(error).__name__}: {error}"
+        return [f"{path.name} was not written: {why}. The other outputs are whole"]
+    return []
 
 
 def write_pose_npz(path: Path, poses: Sequence[PersonPoses]) -> None:

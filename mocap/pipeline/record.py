@@ -35,7 +35,9 @@ class RunRecord:
     """Everything about a run but its arrays: settings, timings, numbers, warnings, scores.
 
     kind : `voxels` or `markers`, what poses were found from.  until : the word it ended with.  stages : those it went
-    through, in order.  outputs_s : for tables, exports and report.  scores : as `mocap eval`, None without truth.
+    through, in order.  product_keys : product in the store -> the key that it was made under.  scores : as `mocap
+    eval`, None without truth.  files : the outputs that were written.  removed : those of an earlier run that were not
+    written anew.  outputs_s : for tables, exports and report.
     """
 
     session: str
@@ -49,8 +51,11 @@ class RunRecord:
     config: Config
     code: str
     stages: tuple[StageRecord, ...]
+    product_keys: Mapping[str, str]
     warnings: tuple[str, ...]
     scores: dict[str, Any] | None
+    files: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
     outputs_s: float = 0.0
     peak_memory_mb: float | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -170,6 +175,7 @@ def record_to_json(record: RunRecord) -> dict[str, Any]:
         "config_hash": config_hash(record.config),
         "code_hash": record.code,
         "stage_keys": {stage.name: stage.key for stage in record.stages},
+        "product_keys": dict(record.product_keys),
         "stages": {
             stage: {
                 "wall_s": round(seconds, 3),
@@ -180,6 +186,8 @@ def record_to_json(record: RunRecord) -> dict[str, Any]:
         "reused": list(record.reused),
         "total_s": round(sum(record.timings_s.values()), 3),
         "peak_memory_mb": record.peak_memory_mb,
+        "files": list(record.files),
+        "removed": list(record.removed),
         "warnings": list(record.warnings),
         "numbers": record.numbers,
         "scores": record.scores,
@@ -211,12 +219,20 @@ def record_from_json(about: Mapping[str, Any]) -> RunRecord:
         config=Config.model_validate(about["config"]),
         code=str(about["code_hash"]),
         stages=stages,
+        product_keys=dict(about["product_keys"]),
         warnings=tuple(about["warnings"]),
         scores=about["scores"],
+        files=tuple(about["files"]),
+        removed=tuple(about["removed"]),
         outputs_s=float(walls[OUTPUTS]["wall_s"]),
         peak_memory_mb=about["peak_memory_mb"],
         versions=about["versions"],
     )
+
+
+def printable(text: str) -> str:
+    """Text that any file can hold: bytes of a path that are no UTF-8 become a question mark in a lozenge."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
 def versions() -> dict[str, str]:

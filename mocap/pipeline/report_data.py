@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mocap.pipeline.figures import run_figures, silhouette_numbers
 from mocap.pipeline.panels import frame_panels
-from mocap.pipeline.record import OUTPUTS, RunRecord, RunResult
+from mocap.pipeline.record import OUTPUTS, RunRecord, RunResult, printable
 from mocap.view import REPORT_SCORES, ReportData, write_report
 
 OUTPUT_WORDS = {
@@ -25,13 +25,13 @@ OUTPUT_WORDS = {
 }
 
 
-def write_run_report(result: RunResult, folder: Path) -> None:
+def write_run_report(result: RunResult, path: Path) -> None:
     """report.html: what was found, pictures to judge it by, errors where truth exists, timing, settings."""
     record, found = result.record, result.found
     session = found.session
     n = len(session.frames)
     outputs = []
-    for name in sorted({"run.json", found.store.path.name, *(p.name for p in folder.iterdir())}):
+    for name in sorted({"run.json", found.store.path.name, *(p.name for p in path.parent.iterdir())}):
         words = OUTPUT_WORDS.get(name) or OUTPUT_WORDS.get(Path(name).suffix)
         if words and not name.startswith("."):
             outputs.append((name, words))
@@ -47,8 +47,8 @@ def write_run_report(result: RunResult, folder: Path) -> None:
         ("Seed", str(record.seed)),
     ]
     data = ReportData(
-        title=f"Motion capture: {session.name}",
-        session=session.name,
+        title=f"Motion capture: {record.session}",
+        session=record.session,
         status="complete",
         n_persons=len(found.poses),
         n_frames=n,
@@ -66,12 +66,13 @@ def write_run_report(result: RunResult, folder: Path) -> None:
         figures=tuple(run_figures(record, found)),
         frames=tuple(frame_panels(found, record.config.output)),
         outputs=tuple(outputs),
-        command=record.command or f"mocap run {session.name} -o {result.out.name} --seed {record.seed}",
+        command=record.command
+        or printable(f"mocap run {session.name} -o {result.out.name} --seed {record.seed}"),
         config_text=json.dumps(record.config.model_dump(mode="json"), indent=1),
         versions=dict(record.versions),
         silhouettes=silhouette_numbers(record, found),
     )
-    write_report(folder / "report.html", data)
+    write_report(path, data)
 
 
 def _motion_words(record: RunRecord) -> list[tuple[str, str]]:

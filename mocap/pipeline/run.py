@@ -5,21 +5,25 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from mocap.compare import score_run
+from mocap.errors import MocapError
 from mocap.io._files import atomic_text
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.chains import UNTIL, observation_kind, stages_until
-from mocap.pipeline.checks import check_config, check_writable
+from mocap.pipeline.checks import check_config, check_flesh, check_out, check_truth, check_volume
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.keys import stage_keys
-from mocap.pipeline.outputs import write_exports, write_tables
-from mocap.pipeline.publish import published
+from mocap.pipeline.lock import sole_use
+from mocap.pipeline.outputs import write_exports, write_tables, written_or_why
+from mocap.pipeline.publish import RUN_FILE, outputs_in, published
 from mocap.pipeline.reach import code_hash
 from mocap.pipeline.record import (
     OUTPUTS,
@@ -27,11 +31,12 @@ from mocap.pipeline.record import (
     RunRecord,
     RunResult,
     StageRecord,
+    printable,
     record_to_json,
     versions,
 )
 from mocap.pipeline.report_data import write_run_report
-from mocap.pipeline.stage import Job, Stage, StageReport, is_done, run_stage
+from mocap.pipeline.stage import Job, StageReport, is_done, run_stage
 from mocap.portable import peak_memory_mb
 from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
@@ -60,8 +65,9 @@ def run_session(
     in `out` whose configuration, inputs and code are the same; otherwise everything is computed anew.
     frames : (start, stop).  n_threads : None = up to 2; the result does not depend on it.
     progress : called as progress(stage, done, total).
-    Raises MocapError for bad input, before anything in `out` is touched where possible; finished stage products
-    are never damaged, and tables, exports and report replace earlier ones together, when all are written.
+    Raises MocapError for bad input, before the first stage where possible, and when another command works in `out`.
+    Finished stage products are never damaged; tables, exports and report take the place of those of an earlier run
+    together, when all are written, and what this run does not write is removed with them.
     """
     if until not in UNTIL:
         raise ValueError(f"until must be one of {', '.join(UNTIL)}, got {until!r}")
@@ -71,7 +77,12 @@ def run_session(
     kind = observation_kind(session, config)
     check_config(config, kind)
     out = Path(out)
-    check_writable(out)
+    check_out(out, session)
+    if kind == "voxels" and until != "segment":
+        check_volume(session, config)
+    if until in _WITH_POSES:
+        check_flesh(session, config, kind)
+        check_truth(session)
     job = Job(
         session=session,
         config=config,
@@ -80,26 +91,32 @@ def run_session(
         n_threads=n_threads or min(2, os.cpu_count() or 1),
         progress=progress or no_progress,
     )
+    with sole_use(out, command):
+        try:
+            steps = list(_steps(job, kind, until, resume=resume))
+            return _publish(job, out, _collect(job, kind, until), steps, until=until, command=command)
+        finally:
+            job.store.remove_unfinished()
+
+
+_WITH_POSES = ("pose", OUTPUTS)
+
+
+def _steps(job: Job, kind: str, until: str, *, resume: bool) -> Iterator[tuple[StageRecord, StageReport]]:
+    """The stages in order, each reused or computed."""
     # Only who resumes trusts what an earlier run remembers of the input files.
     hashes = FileHashes(job.store.path / ".inputs.json", is_trusted=resume)
-    keys = stage_keys(session, config, seed, kind, hashes)
+    keys = stage_keys(job.session, job.config, job.seed, kind, hashes)
     hashes.keep()
-    steps = [
-        _reuse_or_compute(stage, replace(job, key=keys[stage.name]), resume=resume)
-        for stage in stages_until(kind, until)
-    ]
-    found = _collect(job, kind, until)
-    return _publish(job, out, found, steps, until=until, command=command)
-
-
-def _reuse_or_compute(stage: Stage, job: Job, *, resume: bool) -> tuple[StageRecord, StageReport]:
-    wall_s = None
-    if not (resume and is_done(stage, job.store, job.key)):
-        started = time.perf_counter()
-        run_stage(stage, job)
-        wall_s = time.perf_counter() - started
-    report = stage.report(job)
-    return StageRecord(stage.name, job.key, wall_s, report.numbers), report
+    for stage in stages_until(kind, until):
+        own = replace(job, key=keys[stage.name])
+        wall_s = None
+        if not (resume and is_done(stage, own.store, own.key)):
+            started = time.perf_counter()
+            run_stage(stage, own)
+            wall_s = time.perf_counter() - started
+        report = stage.report(own)
+        yield StageRecord(stage.name, own.key, wall_s, report.numbers), report
 
 
 def _collect(job: Job, kind: str, until: str) -> Found:
@@ -123,35 +140,64 @@ def _publish(
     until: str,
     command: str,
 ) -> RunResult:
-    """Score what was found and write the outputs, which replace those of an earlier run together."""
-    session = job.session
-    has_poses = until in ("pose", OUTPUTS)
-    truth = session.truth_dir if has_poses else None
-    scores = score_run(truth, found.motions, found.tracks, frames=session.frames, hulls=found.hulls)
+    """Score what was found and write the outputs, which take the place of all those of an earlier run."""
+    session, config = job.session, job.config
+    keys = {stage.name: stage.key for stage, _ in steps}
+    scores, unscored = _scores(found) if until in _WITH_POSES else (None, [])
     started = time.perf_counter()
-    with published(out, {p.person for p in found.poses} if until == OUTPUTS else None) as folder:
-        write_tables(found, folder, has_poses=has_poses)
-        left_out = write_exports(found, job.config, folder, progress=job.progress) if until == OUTPUTS else []
-        warnings = (*session.warnings, *(w for _, report in steps for w in report.warnings), *left_out)
+    with published(out) as folder:
+        write_tables(found, folder, has_poses=until in _WITH_POSES)
+        left_out = write_exports(found, config, folder, progress=job.progress) if until == OUTPUTS else []
+        warnings = (
+            *session.warnings,
+            *(w for _, report in steps for w in report.warnings),
+            *unscored,
+            *left_out,
+        )
         record = RunRecord(
-            session=session.name,
+            session=printable(session.name),
             kind=found.kind,
             until=until,
-            command=command,
+            command=printable(command),
             frames=session.frames,
             fps=session.fps,
             cameras=session.rig.names,
             seed=job.seed,
-            config=job.config,
+            config=config,
             code=code_hash(),
             stages=tuple(stage for stage, _ in steps),
-            warnings=tuple(dict.fromkeys(warnings)),
+            product_keys={
+                product: keys[stage.name]
+                for stage in stages_until(found.kind, until)
+                for product in stage.products
+            },
+            warnings=tuple(dict.fromkeys(printable(w) for w in warnings)),
             scores=scores,
             versions=versions(),
         )
-        if until == OUTPUTS and "report" in job.config.output.formats:
-            write_run_report(RunResult(record, out, found), folder)
-        # The clock stops when everything but this very file is written.
-        record = replace(record, outputs_s=time.perf_counter() - started, peak_memory_mb=peak_memory_mb())
-        atomic_text(folder / "run.json", json.dumps(record_to_json(record), indent=1) + "\n")
+        if until == OUTPUTS and "report" in config.output.formats:
+            failed = written_or_why(
+                folder / "report.html", partial(write_run_report, RunResult(record, out, found))
+            )
+            record = replace(record, warnings=(*record.warnings, *failed))
+        files = {*(path.name for path in folder.iterdir()), RUN_FILE}
+        record = replace(
+            record,
+            files=tuple(sorted(files)),
+            removed=tuple(sorted(outputs_in(out) - files)),
+            outputs_s=time.perf_counter() - started,
+            peak_memory_mb=peak_memory_mb(),
+        )
+        atomic_text(folder / RUN_FILE, json.dumps(record_to_json(record), indent=1) + "\n")
     return RunResult(record, out, found)
+
+
+def _scores(found: Found) -> tuple[dict[str, Any] | None, list[str]]:
+    """Scores against the truth, None without; and a warning when the truth turns out to be bad."""
+    try:
+        session = found.session
+        return score_run(
+            session.truth_dir, found.motions, found.tracks, frames=session.frames, hulls=found.hulls
+        ), []
+    except MocapError as error:
+        return None, [f"the result is not scored: {error}"]

@@ -16,14 +16,14 @@ import traceback
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mocap.errors import MissingExtra, MocapError
 from mocap.io._files import atomic_text, writing
-from mocap.portable import lock_file
+from mocap.pipeline.lock import sole_use
 
 Work = Callable[[dict[str, Any]], dict[str, Any]]
 
@@ -112,7 +112,7 @@ def run_jobs(
     tick: Progress = progress or (lambda standing: None)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    with _sole_use(folder):
+    with sole_use(folder, "mocap sweep or batch"):
         kept = {job.key: job for job in jobs if job.is_kept}
         found = {key: outcome for key in kept if (outcome := read_outcome(folder, key)) is not None}
         outcomes = {key: outcome for key, outcome in found.items() if outcome.is_done}
@@ -217,22 +217,6 @@ def _pending(jobs: Sequence[Job], done: set[str]) -> list[Job]:
         if (job.is_kept and job.key not in done) or job.key in wanted:
             wanted |= {job.key, *job.needs}
     return [job for job in jobs if job.key in wanted]
-
-
-@contextmanager
-def _sole_use(folder: Path) -> Iterator[None]:
-    """Two commands must not write into one folder; the lock goes with the process, however it ends."""
-    path = folder / ".lock"
-    with writing(path):
-        stream = path.open("w")
-    with stream:
-        if not lock_file(stream):
-            raise MocapError(
-                "another command is working in this folder",
-                path=folder,
-                remedy="wait for it, or choose another folder with -o",
-            )
-        yield
 
 
 def _run_on_dask(jobs: Sequence[Job], engine: Engine, code: str, settle: Callable[..., None]) -> None:

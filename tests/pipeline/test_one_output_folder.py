@@ -1,0 +1,273 @@
+"""One output folder, one truth: what lies in it is of one run, and only one command works in it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from small_session import PLAIN, copy_session, mocap, set_options, small_session
+
+from mocap.errors import MocapError
+from mocap.io.store import StageStore
+from mocap.pipeline import lock
+from mocap.pipeline.config import Config, load_config
+from mocap.pipeline.export import export_run
+from mocap.pipeline.finished import rewrite_report, rewrite_scene
+from mocap.pipeline.lock import LOCK_NAME, sole_use
+from mocap.pipeline.publish import published
+from mocap.pipeline.run import run_session
+
+SMALL = (*PLAIN, "volume.voxel_size_m=0.05")
+
+
+def config(*formats: str, more: tuple[str, ...] = ()) -> Config:
+    listed = ", ".join(f'"{name}"' for name in formats)
+    return load_config("default", (*SMALL, f"output.formats=[{listed}]", *more))
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = small_session(tmp_path_factory.getbasetemp())
+    return copy_session(base, tmp_path_factory.mktemp("one") / "session", masks=True, n_frames=4)
+
+
+@pytest.fixture(scope="module")
+def finished(session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("one") / "out"
+    run_session(session, out, config=config("bvh", "trc", "report"))
+    return out
+
+
+@pytest.fixture
+def out(finished: Path, tmp_path: Path) -> Path:
+    """A copy of a finished run with every output."""
+    return Path(shutil.copytree(finished, tmp_path / "out"))
+
+
+def names(out: Path) -> set[str]:
+    return {p.name for p in out.iterdir()}
+
+
+# --- what a run does not write anew is not left behind ---
+
+
+def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None:
+    (out / "scores.json").write_text("{}")
+    (out / "mine.txt").write_text("of the user")
+    result = run_session(session, out, config=config("trc"), resume=True)
+    assert result.reused == ("segment", "carve", "track", "pose")
+    assert names(out) == {
+        *("run.json", "tracks.csv", "landmarks.csv", "pose.npz", "body.toml", "person_1.trc", "store.zarr"),
+        "mine.txt",
+    }
+    assert result.record.removed == ("person_1.bvh", "report.html", "scores.json")
+    about = json.loads((out / "run.json").read_text())
+    assert about["removed"] == list(result.record.removed)
+    assert set(about["files"]) == names(out) - {"store.zarr", "mine.txt"}
+
+
+@pytest.mark.parametrize(
+    ("until", "left"),
+    [
+        ("segment", {"run.json"}),
+        ("track", {"run.json", "tracks.csv"}),
+        ("pose", {"run.json", "tracks.csv", "landmarks.csv", "pose.npz", "body.toml"}),
+    ],
+)
+def test_a_run_that_ends_earlier_leaves_what_it_wrote(
+    session: Path, out: Path, until: str, left: set[str]
+) -> None:
+    run_session(session, out, config=config("bvh"), until=until, resume=True)
+    assert names(out) == left | {"store.zarr"}
+
+
+def test_the_last_line_names_a_report_of_this_run_only(session: Path, out: Path) -> None:
+    options = set_options((*SMALL, 'output.formats=["trc"]'))
+    said = mocap("run", session, "-o", out, "--resume", *options)
+    assert said.code == 0, said.err
+    assert "report.html, of an earlier run" in said.out
+    assert said.out.splitlines()[-1] == f"Written to {out}"
+
+
+def test_a_publication_that_fails_leaves_the_earlier_outputs(out: Path) -> None:
+    before = {p.name: p.read_bytes() for p in out.iterdir() if p.is_file()}
+
+    def fail() -> None:
+        with published(out) as folder:
+            (folder / "tracks.csv").write_text("new")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert {p.name: p.read_bytes() for p in out.iterdir() if p.is_file()} == before
+    assert not (out / ".outputs.partial").exists()
+
+
+def test_a_kill_among_the_files_leaves_no_run_json(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Killed(BaseException):
+        pass
+
+    moved: list[str] = []
+    real = os.replace
+
+    def replace(source: Path, target: Path) -> None:
+        if len(moved) == 1:
+            raise Killed
+        moved.append(Path(target).name)
+        real(source, target)
+
+    def publish() -> None:
+        with published(out) as folder:
+            for name in ("landmarks.csv", "run.json", "tracks.csv"):
+                (folder / name).write_text("new")
+            monkeypatch.setattr(os, "replace", replace)
+
+    with pytest.raises(Killed):
+        publish()
+    assert moved == ["landmarks.csv"]
+    assert "run.json" not in names(out)
+
+
+def test_a_folder_in_the_place_of_an_output_is_found_before_the_first_stage(
+    session: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "out" / "landmarks.csv").mkdir(parents=True)
+    with pytest.raises(MocapError, match=r"a folder where landmarks\.csv is to be written"):
+        run_session(session, tmp_path / "out", config=config("bvh"))
+    assert names(tmp_path / "out") == {"landmarks.csv"}
+
+
+# --- store and tables of one run ---
+
+
+def mixed(session: Path, out: Path) -> None:
+    """Another run begins in the folder and does not end."""
+
+    class Killed(Exception):
+        pass
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "track":
+            raise Killed
+
+    with pytest.raises(Killed):
+        run_session(session, out, config=config("bvh", more=("volume.voxel_size_m=0.045",)), progress=stop)
+
+
+COMMANDS: dict[str, Callable[[Path, Path, Path], object]] = {
+    "report": lambda out, session, folder: rewrite_report(out, session),
+    "scene": lambda out, session, folder: rewrite_scene(out, session, folder / "scene.rrd"),
+    "voxels": lambda out, session, folder: export_run(out, folder, what="voxels"),
+    "motion": lambda out, session, folder: export_run(out, folder, what="motion"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_store_and_tables_of_different_runs_are_not_mixed(
+    session: Path, out: Path, tmp_path: Path, command: str
+) -> None:
+    if command == "scene":
+        pytest.importorskip("rerun")
+    COMMANDS[command](out, session, tmp_path)
+    mixed(session, out)
+    with pytest.raises(MocapError, match="not that of the tables beside it: carve of") as caught:
+        COMMANDS[command](out, session, tmp_path)
+    assert "--resume" in caught.value.remedy
+    run_session(session, out, config=config("bvh", "report"), resume=True)
+    COMMANDS[command](out, session, tmp_path)
+
+
+def test_products_of_a_run_before_are_not_exported_after_a_shorter_one(
+    session: Path, out: Path, tmp_path: Path
+) -> None:
+    run_session(session, out, config=config(), until="segment")
+    with pytest.raises(MocapError, match="ended before there was a product carve"):
+        export_run(out, tmp_path / "voxels", what="voxels")
+
+
+# --- one command at a time ---
+
+
+def test_a_second_command_is_told_who_works_there(session: Path, out: Path) -> None:
+    before = names(out)
+    with sole_use(out, "mocap run X -o Y"):
+        for work in (
+            lambda: run_session(session, out, config=config("bvh")),
+            lambda: rewrite_report(out, session),
+        ):
+            with pytest.raises(MocapError, match="`mocap run X -o Y`, process") as caught:
+                work()
+            assert f"process {os.getpid()} on" in caught.value.message
+    assert names(out) == before
+    run_session(session, out, config=config("bvh"), resume=True)
+
+
+def test_another_process_is_kept_out_until_it_ends_and_its_file_is_taken_over(tmp_path: Path) -> None:
+    code = (
+        "import sys, time\nfrom pathlib import Path\nfrom mocap.pipeline.lock import sole_use\n"
+        "with sole_use(Path(sys.argv[1]), 'the other'):\n    print('in', flush=True)\n    time.sleep(60)\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
+        try:
+            assert other.stdout is not None
+            assert other.stdout.readline() == "in\n"
+            with (
+                pytest.raises(MocapError, match=f"`the other`, process {other.pid} on"),
+                sole_use(tmp_path, "me"),
+            ):
+                pass
+        finally:
+            other.kill()
+    assert (tmp_path / LOCK_NAME).exists(), "a killed process leaves its file"
+    with sole_use(tmp_path, "me"):
+        assert json.loads((tmp_path / LOCK_NAME).read_text())["command"] == "me"
+    assert names(tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    ("about", "is_free"),
+    [
+        ({"pid": 2**22 + 1, "host": "here"}, True),
+        ({"pid": 1, "host": "here"}, False),
+        ({"pid": 2**22 + 1, "host": "elsewhere"}, False),
+        ({"pid": "x", "host": "here"}, True),
+        ({}, True),
+    ],
+)
+def test_without_locks_the_process_named_in_the_file_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, about: dict[str, object], is_free: bool
+) -> None:
+    monkeypatch.setattr(lock, "lock_file", lambda stream: None)
+    monkeypatch.setattr(lock.platform, "node", lambda: "here")
+    (tmp_path / LOCK_NAME).write_text(json.dumps(about))
+    if is_free:
+        with sole_use(tmp_path, "me"):
+            pass
+        assert names(tmp_path) == set()
+    else:
+        with pytest.raises(MocapError, match="another command is working"), sole_use(tmp_path, "me"):
+            pass
+
+
+@pytest.mark.parametrize("text", ["", "no json", "[1]", '{"pid": null}', "\x00\xff"])
+def test_whatever_lies_in_the_lock_file_is_taken_over(tmp_path: Path, text: str) -> None:
+    (tmp_path / LOCK_NAME).write_text(text)
+    with sole_use(tmp_path, "me"):
+        pass
+    assert names(tmp_path) == set()
+
+
+def test_what_stopped_writers_have_left_is_cleared_away(session: Path, tmp_path: Path) -> None:
+    left = tmp_path / "out" / "store.zarr" / ".pose.partial"
+    left.mkdir(parents=True)
+    (left / "data").write_bytes(b"x")
+    run_session(session, tmp_path / "out", config=config(), until="segment")
+    assert not left.exists()
+    assert StageStore(tmp_path / "out" / "store.zarr").reader("segment").frames.tolist() == [0, 1, 2, 3]

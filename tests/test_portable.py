@@ -1,0 +1,74 @@
+"""What differs between systems: the package runs where modules of one system are missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from marker_world import marker_world, write_marker_session
+
+import mocap
+from mocap import portable
+
+BLOCKED = ("resource", "fcntl", "pwd", "grp", "termios")
+
+
+def test_memory_of_this_process_and_machine() -> None:
+    peak = portable.peak_memory_mb()
+    total = portable.total_memory_bytes()
+    assert peak is not None
+    assert total is not None
+    assert 10 < peak < total / 1e6
+
+
+@pytest.mark.parametrize(("system", "expected_mb"), [("linux", 2000.0), ("darwin", 2000.0 / 1024)])
+def test_units_of_the_system(system: str, expected_mb: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Linux counts kB, macOS bytes."""
+    resource = pytest.importorskip("resource")
+
+    class Usage:
+        ru_maxrss = 2000 * 1024
+
+    monkeypatch.setattr(resource, "getrusage", lambda who: Usage)
+    monkeypatch.setattr(portable.sys, "platform", system)
+    assert portable.peak_memory_mb() == pytest.approx(expected_mb, abs=0.06)
+
+
+def test_processes_that_are_there_and_not() -> None:
+    assert portable.is_running(os.getpid())
+    done = subprocess.Popen([sys.executable, "-c", ""])
+    done.wait()
+    assert not portable.is_running(done.pid)
+    assert not portable.is_running(2**40)
+
+
+def test_a_file_is_locked_once(tmp_path: Path) -> None:
+    with (tmp_path / "a").open("w") as one, (tmp_path / "a").open("w") as two:
+        assert portable.lock_file(one)
+        assert portable.lock_file(two) is False
+    with (tmp_path / "a").open("w") as three:
+        assert portable.lock_file(three)
+
+
+def test_a_run_without_the_modules_of_one_system(tmp_path: Path) -> None:
+    """As on Windows, where they do not exist."""
+    session = write_marker_session(marker_world(6), tmp_path / "session")
+    code = f"""
+import sys
+for name in {BLOCKED!r}:
+    sys.modules[name] = None
+import mocap.pipeline.cluster, mocap.cli
+from mocap import load_config, run_session
+from mocap.portable import lock_file, peak_memory_mb
+assert peak_memory_mb() is None
+result = run_session({str(session)!r}, {str(tmp_path / "out")!r}, config=load_config(), until="segment")
+print(result.status, result.record.peak_memory_mb)
+"""
+    environment = {**os.environ, "PYTHONPATH": str(Path(mocap.__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "complete until segment None"
+    assert (tmp_path / "out" / "run.json").is_file()
