@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 from typing import IO, Any
 
 _BYTES_PER_MB = 2**20
@@ -45,6 +46,28 @@ def is_running(pid: int) -> bool:
     except OSError:
         return True  # somebody else's
     return True
+
+
+def sync_tree(folder: Path) -> None:
+    """Bring all files of a folder, and their names, from memory to the disk: a power cut does not undo them then."""
+    for path in folder.rglob("*"):
+        if path.is_file():
+            with path.open("rb+") as stream:  # Windows syncs only what may be written
+                os.fsync(stream.fileno())
+        else:
+            sync_folder(path)
+    sync_folder(folder)
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk; Windows does that by itself."""
+    if sys.platform == "win32":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def lock_file(stream: IO[Any]) -> bool | None:

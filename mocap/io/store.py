@@ -3,16 +3,17 @@
 A stage is one zarr group. Each named array is kept end to end over the frames (`NAME/data`) with the row where
 each frame begins (`NAME/offsets`), so that frames may have different lengths. A writer works in a hidden folder
 beside the stage and moves it into place at the end: whoever looks sees the old product, none, or the whole new
-one.
+one, after a power cut too. A list of all files with their hashes tells a reader what is damaged before it is decoded.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from mocap.errors import MocapError
 from mocap.io._files import writing
+from mocap.portable import sync_folder, sync_tree
 
 if TYPE_CHECKING:
     import zarr
@@ -31,7 +33,8 @@ BUFFER_FRAMES = 32
 _BUFFER_BYTES = 64_000_000
 # A product that begins with empty frames must not end up with a chunk per row.
 _MIN_CHUNK_BYTES = 262_144
-_FORMAT = 1
+_FORMAT = 2
+_LIST = "files.json"
 _ZSTD_LEVEL = 1
 
 
@@ -70,7 +73,7 @@ class StageStore:
                 path=self.path / stage,
                 remedy=f"run the stage {stage} first",
             )
-        return StageReader(self.path / stage, about)
+        return StageReader(self.path / stage, stage, about)
 
     def remove(self, stage: str) -> None:
         """Delete a stage product, if there is one."""
@@ -189,9 +192,12 @@ class StageWriter:
                         }
                     }
                 )
+                _write_list(self._folder)
+                sync_tree(self._folder)
                 if final.exists():
                     shutil.rmtree(final)
                 os.replace(self._folder, final)
+                sync_folder(self._root)
         except MocapError:
             _discard(self._folder)
             raise
@@ -252,22 +258,27 @@ class _ColumnWriter:
 
 
 class StageReader:
-    """A complete stage product: frames (n,) int64 ascending, attrs as written, arrays by frame."""
+    """A complete stage product: frames (n,) int64 ascending, attrs as written, arrays by frame.
 
-    def __init__(self, path: Path, about: dict[str, Any]) -> None:
+    Raises MocapError that names the stage to run again, now or when a damaged frame is read.
+    """
+
+    def __init__(self, path: Path, stage: str, about: dict[str, Any]) -> None:
         import zarr
 
-        self.attrs: dict[str, Any] = about["attrs"]
-        self.key: str = about["key"]
-        self.names: tuple[str, ...] = tuple(about["arrays"])
+        files = _Files(path, stage)
+        files.check(name for name in files.names if "/data/c/" not in name)
         try:
+            self.attrs: dict[str, Any] = about["attrs"]
+            self.key: str = about["key"]
+            self.names: tuple[str, ...] = tuple(about["arrays"])
             group: Any = zarr.open_group(path, mode="r")
             self.frames: NDArray[np.int64] = np.asarray(group["frames"][:], dtype=np.int64)
-            self._columns = {name: _ColumnReader(group[name]) for name in self.names}
+            self._columns = {
+                name: _ColumnReader(group[name], name, files, len(self.frames)) for name in self.names
+            }
         except (OSError, KeyError, ValueError) as error:
-            raise MocapError(
-                "the stage product is damaged", path=path, remedy="delete it and run the stage again"
-            ) from error
+            raise files.damaged(str(error)) from error
         self._row = {int(f): i for i, f in enumerate(self.frames)}
 
     def __len__(self) -> int:
@@ -285,12 +296,72 @@ class StageReader:
             yield int(frame), self.read(int(frame))
 
 
+class _Files:
+    """The files of a product and the hashes that they were written with."""
+
+    def __init__(self, path: Path, stage: str) -> None:
+        self._path, self._stage = path, stage
+        try:
+            document = json.loads((path / _LIST).read_text(encoding="utf-8"))
+            self.names: dict[str, str] = document["files"]
+            if document["hash"] != _hash_of_list(self.names):
+                raise ValueError("the list of files has changed")
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise self.damaged(f"{_LIST}: {error}") from error
+
+    def check(self, names: Iterable[str]) -> None:
+        """Raises MocapError for a file that is not as it was written, is gone, or was not there."""
+        for name in names:
+            try:
+                found = _hash((self._path / name).read_bytes())
+            except FileNotFoundError:
+                found = None
+            except OSError as error:
+                raise self.damaged(f"{name}: {error.strerror or error}") from error
+            if found != self.names.get(name):
+                raise self.damaged(name)
+
+    def damaged(self, what: str) -> MocapError:
+        """The error to raise."""
+        return MocapError(
+            f"the product of the stage {self._stage} is damaged ({what})",
+            path=self._path,
+            remedy=f"delete this folder and run the stage {self._stage} again: `mocap run SESSION -o OUT --resume`",
+        )
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+
+def _hash_of_list(names: dict[str, str]) -> str:
+    return _hash(json.dumps(sorted(names.items())).encode())
+
+
+def _write_list(folder: Path) -> None:
+    """The list of all files in a product that is written to its end."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    names = {path.relative_to(folder).as_posix(): _hash(path.read_bytes()) for path in files}
+    document = {"hash": _hash_of_list(names), "files": names}
+    (folder / _LIST).write_text(json.dumps(document), encoding="utf-8")
+
+
 class _ColumnReader:
     """Rows by frame; the chunk decompressed last is kept, because frames are mostly read in order."""
 
-    def __init__(self, group: Any) -> None:
+    def __init__(self, group: Any, name: str, files: _Files, n_frames: int) -> None:
         self._data = group["data"]
+        self._files = files
+        # Chunks divide the rows alone; where all rows of a chunk are zero there is no file.
+        self._chunk_name = f"{name}/data/c/{{}}" + "/0" * (self._data.ndim - 1)
         self._offsets = np.asarray(group["offsets"][:])
+        if (
+            self._offsets.shape != (n_frames + 1,)
+            or self._offsets[0] != 0
+            or np.any(np.diff(self._offsets) < 0)
+            or self._offsets[-1] != self._data.shape[0]
+        ):
+            raise ValueError(f"{name}: rows of frames do not follow each other")
         self._chunk_rows = int(self._data.chunks[0])
         self._chunk = -1
         self._rows: NDArray[Any] = np.empty((0, *self._data.shape[1:]), dtype=self._data.dtype)
@@ -303,6 +374,8 @@ class _ColumnReader:
         for chunk in range(start // self._chunk_rows, (stop - 1) // self._chunk_rows + 1):
             begin = chunk * self._chunk_rows
             if chunk != self._chunk:
+                # Checked before it is decoded: a decoder may do anything with bytes that were never encoded.
+                self._files.check([self._chunk_name.format(chunk)])
                 self._rows = np.asarray(self._data[begin : begin + self._chunk_rows])
                 self._chunk = chunk
             parts.append(self._rows[max(0, start - begin) : stop - begin])

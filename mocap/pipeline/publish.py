@@ -11,6 +11,7 @@ from pathlib import Path
 
 from mocap.errors import MocapError
 from mocap.io._files import writing
+from mocap.portable import sync_folder, sync_tree
 
 _UNPUBLISHED = ".outputs.partial"
 # Without it a folder holds no result: it goes first and comes last.
@@ -42,12 +43,14 @@ def published(out: Path) -> Iterator[Path]:
         yield folder
         check_replaceable(out)
         with writing(out):
+            sync_tree(folder)
             names = sorted(path.name for path in folder.iterdir())
             for name in sorted(outputs_in(out), key=lambda name: name != RUN_FILE):
                 if name == RUN_FILE or name not in names:
                     (out / name).unlink()
             for name in sorted(names, key=lambda name: name == RUN_FILE):
                 os.replace(folder / name, out / name)
+            sync_folder(out)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
