@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ import typer
 
 from mocap import cli_cluster, cli_tools
 from mocap.errors import MocapError
+from mocap.portable import Stopped, stoppable
 
 if TYPE_CHECKING:
     from mocap.pipeline.record import RunResult
@@ -67,10 +67,9 @@ ObservationOption = Annotated[
 
 def main() -> None:
     """Entry point: user mistakes become one message and exit code 2, without a traceback."""
-    for number in _ENDING:
-        signal.signal(number, _stop)
     try:
-        app(standalone_mode=True)
+        with stoppable():
+            app(standalone_mode=True)
     except MocapError as error:
         _fail(str(error))
     except Stopped as stopped:
@@ -89,25 +88,6 @@ def main() -> None:
         )
     except MemoryError:
         _fail("out of memory. Remedy: use larger voxels (--set volume.voxel_size_m=0.03) or a smaller room.")
-
-
-class Stopped(BaseException):
-    """A signal that ends the command; not an Exception, so that nobody on the way takes it for a failure."""
-
-    def __init__(self, number: int) -> None:
-        self.number = number
-        super().__init__(signal.Signals(number).name)
-
-
-# Ctrl-C, a terminal that closes, a batch system that wants its machine back.
-_ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
-
-def _stop(number: int, frame: object) -> None:
-    """End in good order; a second signal ends at once."""
-    for other in _ENDING:
-        signal.signal(other, signal.SIG_DFL)
-    raise Stopped(number)
 
 
 def _fail(message: str, code: int = 2) -> None:

@@ -1,9 +1,12 @@
-"""Differences between operating systems: memory, processes, and a lock on a file."""
+"""Differences between operating systems: memory, processes, signals, and files on the disk."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,6 +26,36 @@ def peak_memory_mb() -> float | None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     # Linux counts kB, macOS bytes.
     return round(peak * (1 if sys.platform == "darwin" else 1024) / _BYTES_PER_MB, 1)
+
+
+class Stopped(BaseException):
+    """A signal that ends the command; not an Exception, so that nobody on the way takes it for a failure."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(signal.Signals(number).name)
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Let Ctrl-C, a terminal that closes, and a batch system that wants its machine back raise `Stopped`.
+
+    A second signal ends at once. What the caller's shell ignores, as `nohup` does, stays ignored.
+    """
+    known = (getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP"))
+    numbers = [n for n in known if n is not None and signal.getsignal(n) != signal.SIG_IGN]
+
+    def stop(number: int, frame: object) -> None:
+        for other in numbers:
+            signal.signal(other, signal.SIG_DFL)
+        raise Stopped(number)
+
+    before = {number: signal.signal(number, stop) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def total_memory_bytes() -> int | None:

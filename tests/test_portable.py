@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -43,6 +44,29 @@ def test_processes_that_are_there_and_not() -> None:
     done.wait()
     assert not portable.is_running(done.pid)
     assert not portable.is_running(2**40)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of Unix")
+def test_signals_are_raised_where_nobody_ignores_them() -> None:
+    before = {n: signal.getsignal(n) for n in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)}
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+    def work() -> None:
+        with portable.stoppable():
+            signal.raise_signal(signal.SIGHUP)  # as under nohup
+            signal.raise_signal(signal.SIGTERM)
+
+    try:
+        with pytest.raises(portable.Stopped, match="SIGTERM") as caught:
+            work()
+        assert caught.value.number == signal.SIGTERM
+        assert not isinstance(caught.value, Exception)
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def test_a_file_is_locked_once(tmp_path: Path) -> None:

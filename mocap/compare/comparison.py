@@ -19,6 +19,7 @@ from mocap.compare.tracks import lacks_poses, score_tracks, tracks_of
 from mocap.data import CameraRig
 from mocap.io.actions import read_actions_csv
 from mocap.io.store import StageStore
+from mocap.products.one_run import check_one_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +155,11 @@ def _rig(path: Path) -> CameraRig:
 
 
 def _hulls(estimate: Side, truth: Side, options: CompareOptions) -> StageStore | None:
-    """The stage products of a run that is scored against a truth of ours frame by frame; else None."""
+    """The stage products of a run that is scored against a truth of ours frame by frame; else None.
+
+    Raises MocapError where they are of another run than the tables.
+    """
     if estimate.folder is None or truth.folder is None or options.frame_offset or options.time_offset_s:
         return None
+    check_one_run(estimate.folder)
     return StageStore(estimate.folder / "store.zarr")

@@ -15,7 +15,7 @@ import numpy as np
 from mocap.errors import MocapError
 from mocap.io._files import atomic_text
 from mocap.io.session import Session
-from mocap.pipeline.stages.detect import marker_inputs
+from mocap.pipeline.stages.detect import labels_path
 
 _FORMAT = 1
 # A file may change again within one tick of its file system's clock, 2 s on FAT, without its time telling.
@@ -97,12 +97,15 @@ def input_hash(session: Session, hashes: FileHashes) -> str:
 
 def input_files(session: Session) -> Iterator[tuple[str, Path]]:
     """Every file that a result depends on, with what it is of, in an order that does not change."""
+    labels = labels_path(session)
+    has_labels = not session.detection_sources and labels.exists()
     kinds = {
         "images": session.image_sources,
         "background": session.background_sources,
         "masks": session.mask_sources,
         "roi": session.roi_sources,
-        "markers": {path.name: path for path in marker_inputs(session)},
+        "detections": session.detection_sources,
+        "labels": {"labels": labels} if has_labels else {},
     }
     for kind, sources in kinds.items():
         for name in sorted(sources):

@@ -216,7 +216,9 @@ def test_a_signal_ends_with_a_message_and_without_litter(session: Path, tmp_path
     out = tmp_path / "out"
     # More frames than can be done before the signal comes.
     code = (
-        "import sys, time\nfrom mocap.pipeline import stage\nreal = stage._append\n"
+        "import signal, sys, time\nfrom mocap.pipeline import stage\nreal = stage._append\n"
+        # A shell that starts the tests in the background ignores some signals for them.
+        "for name in ('SIGINT', 'SIGTERM', 'SIGHUP'):\n    signal.signal(getattr(signal, name), signal.SIG_DFL)\n"
         "def slow(out, rows):\n    time.sleep(0.5)\n    real(out, rows)\n"
         "stage._append = slow\nfrom mocap.cli import main\nmain()\n"
     )

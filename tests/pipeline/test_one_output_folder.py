@@ -13,14 +13,16 @@ from pathlib import Path
 import pytest
 from small_session import PLAIN, copy_session, mocap, set_options, small_session
 
+from mocap.compare import compare
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.pipeline import lock
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.export import export_run
-from mocap.pipeline.finished import rewrite_report, rewrite_scene
+from mocap.pipeline.finished import read_record, rewrite_report, rewrite_scene
 from mocap.pipeline.lock import LOCK_NAME, sole_use
 from mocap.pipeline.publish import published
+from mocap.pipeline.record import record_to_json
 from mocap.pipeline.run import run_session
 
 SMALL = (*PLAIN, "volume.voxel_size_m=0.05")
@@ -52,6 +54,13 @@ def out(finished: Path, tmp_path: Path) -> Path:
 
 def names(out: Path) -> set[str]:
     return {p.name for p in out.iterdir()}
+
+
+def test_the_record_is_what_run_json_holds(finished: Path) -> None:
+    about = json.loads((finished / "run.json").read_text())
+    assert record_to_json(read_record(finished)) == about
+    assert about["kind"] == "voxels"
+    assert about["product_keys"].keys() == {"segment", "carve", "track", "track-owners", "pose"}
 
 
 # --- what a run does not write anew is not left behind ---
@@ -165,6 +174,7 @@ COMMANDS: dict[str, Callable[[Path, Path, Path], object]] = {
     "scene": lambda out, session, folder: rewrite_scene(out, session, folder / "scene.rrd"),
     "voxels": lambda out, session, folder: export_run(out, folder, what="voxels"),
     "motion": lambda out, session, folder: export_run(out, folder, what="motion"),
+    "eval": lambda out, session, folder: compare(out, session),
 }
 
 

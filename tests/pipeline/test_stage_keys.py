@@ -21,7 +21,7 @@ from mocap.data import Camera, CameraRig
 from mocap.io.calibration import write_calibration
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
-from mocap.pipeline import inputs
+from mocap.pipeline import inputs, keys
 from mocap.pipeline.chains import CHAINS
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.inputs import FileHashes
@@ -132,6 +132,15 @@ def test_a_fact_of_the_session_is_in_the_key_of_the_pose(session: Session, fact:
     before = stage_keys(session, Config(), 0)
     after = stage_keys(replace(session, **{fact: 1.5}), Config(), 0)
     assert before["pose"] != after["pose"]
+
+
+def test_the_seed_is_in_the_key_where_it_decides(session: Session) -> None:
+    for kind, expected in (("voxels", ["pose"]), ("markers", ["pose"])):
+        one, other_seed = (stage_keys(session, Config(), seed, kind) for seed in (0, 1))
+        assert [name for name in one if one[name] != other_seed[name]] == expected
+    drawn = load_config("default", ("tracking.tracker=particle",))
+    one, other_seed = (stage_keys(session, drawn, seed) for seed in (0, 1))
+    assert [name for name in one if one[name] != other_seed[name]] == ["track", "pose"]
 
 
 class Watched:
@@ -258,6 +267,22 @@ def test_only_reached_code_and_its_data_are_in_the_hash(
         digest()
 
 
+@pytest.mark.parametrize("kind", CHAINS)
+def test_the_code_of_a_stage_is_in_its_key(
+    session: Session, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = stage_keys(session, Config(), 0, kind)
+    names = [stage.name for stage in CHAINS[kind]]
+    for i, stage in enumerate(CHAINS[kind]):
+        with monkeypatch.context() as patch:
+            edited = stage.module
+            patch.setattr(
+                keys, "code_hash_of", lambda m, edited=edited: "edited" if m == edited else code_hash_of(m)
+            )
+            after = stage_keys(session, Config(), 0, kind)
+        assert [name for name in names if before[name] != after[name]] == names[i:]
+
+
 # --- inputs ---
 
 
@@ -277,6 +302,30 @@ def test_everything_about_a_camera_is_in_the_key(session: Session, field: str, k
     changed = CameraRig((replace(session.rig["left"], **{field: values[field]}), session.rig["right"]))
     before, after = (stage_keys(s, Config(), 0, kind) for s in (session, replace(session, rig=changed)))
     assert all(before[name] != after[name] for name in before)
+
+
+@pytest.mark.parametrize(
+    "sources", ["image_sources", "background_sources", "mask_sources", "roi_sources", "detection_sources"]
+)
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_every_kind_of_file_is_in_the_key(
+    session: Session, tmp_path: Path, sources: str, is_folder: bool
+) -> None:
+    place = tmp_path / "deep" / "source"
+    file = place / "b.png" if is_folder else place
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"one")
+    with_file = replace(session, **{sources: {"left": place}})
+    before = stage_keys(with_file, Config(), 0)["segment"]
+    assert before == stage_keys(with_file, Config(), 0)["segment"]
+    assert before != stage_keys(session, Config(), 0)["segment"]
+    file.write_bytes(b"two")
+    changed = stage_keys(with_file, Config(), 0)["segment"]
+    assert changed != before
+    assert changed != stage_keys(replace(session, **{sources: {"right": place}}), Config(), 0)["segment"]
+    if is_folder:
+        file.rename(place / "c.png")
+        assert stage_keys(with_file, Config(), 0)["segment"] != changed
 
 
 def test_frames_are_in_the_key(session: Session) -> None:

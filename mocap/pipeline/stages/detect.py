@@ -36,13 +36,6 @@ from mocap.products.detections import PRODUCT, detection_row
 _FEW_DETECTIONS = 4.0  # per picture, on average: less is no marker set
 
 
-def marker_inputs(session: Session) -> list[Path]:
-    """Files that the detections come from, besides the pictures."""
-    labels = labels_path(session)
-    files = [session.detection_sources[name] for name in sorted(session.detection_sources)]
-    return files if files or not labels.exists() else [labels]
-
-
 @dataclass(frozen=True, eq=False)
 class _Detecting:
     """given : detections that are taken over; else colour and settings say how to find them."""
