@@ -71,7 +71,9 @@ def read_record(out: Path) -> RunRecord:
         ) from error
     except (KeyError, AttributeError) as error:
         raise MocapError(
-            f"run.json says nothing of {error}", path=path, remedy="run the session again with this version"
+            f"run.json says nothing of {error.args[0]}",
+            path=path,
+            remedy="run the session again with this version",
         ) from error
     except (OSError, ValueError, TypeError) as error:
         raise MocapError(

@@ -32,10 +32,8 @@ def sole_use(folder: Path, command: str) -> Iterator[None]:
         stream = _locked(path)
     with stream:
         with writing(path):
-            stream.seek(0)
-            stream.truncate()
-            json.dump(_about_this_process(command), stream)
-            stream.flush()
+            stream.truncate(0)
+            stream.write(json.dumps(_about_this_process(command)).encode())
         try:
             yield
         finally:
@@ -44,10 +42,10 @@ def sole_use(folder: Path, command: str) -> Iterator[None]:
                 path.unlink()
 
 
-def _locked(path: Path) -> IO[str]:
+def _locked(path: Path) -> IO[bytes]:
     """The open lock file of this process."""
     while True:
-        stream = path.open("a+", encoding="utf-8")
+        stream = path.open("a+b", buffering=0)
         is_locked = lock_file(stream)
         holder = _read(stream)
         if is_locked is False or (is_locked is None and _is_at_work(holder)):
@@ -69,7 +67,7 @@ def _about_this_process(command: str) -> dict[str, Any]:
     }
 
 
-def _read(stream: IO[str]) -> dict[str, Any]:
+def _read(stream: IO[bytes]) -> dict[str, Any]:
     """What is written in a lock file; empty when it is new or nobody can read it."""
     try:
         stream.seek(0)

@@ -160,6 +160,7 @@ class RunResult:
 def record_to_json(record: RunRecord) -> dict[str, Any]:
     """The record as run.json holds it."""
     n_frames = len(record.frames)
+    timings_s = {stage: round(seconds, 3) for stage, seconds in record.timings_s.items()}
     return {
         "status": record.status,
         "session": record.session,
@@ -178,13 +179,13 @@ def record_to_json(record: RunRecord) -> dict[str, Any]:
         "product_keys": dict(record.product_keys),
         "stages": {
             stage: {
-                "wall_s": round(seconds, 3),
+                "wall_s": seconds,
                 "frames_per_s": round(n_frames / seconds, 2) if seconds > 0 else None,
             }
-            for stage, seconds in record.timings_s.items()
+            for stage, seconds in timings_s.items()
         },
         "reused": list(record.reused),
-        "total_s": round(sum(record.timings_s.values()), 3),
+        "total_s": round(sum(timings_s.values()), 3),
         "peak_memory_mb": record.peak_memory_mb,
         "files": list(record.files),
         "removed": list(record.removed),
