@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 
 DISTRIBUTION = "mocap-volumes"
@@ -59,3 +61,9 @@ class MissingExtra(MocapError):
     ) -> None:
         remedy = f'pip install "{DISTRIBUTION}[{extra}]"'
         super().__init__(message, remedy=f"{remedy}, or {otherwise}" if otherwise else remedy, path=path)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """`; did you mean 'fps'?` with the known word nearest to an unknown one; empty when none is near."""
+    nearest = get_close_matches(word, list(known), n=1)
+    return f"; did you mean {nearest[0]!r}?" if nearest else ""

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, is_dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from mocap.errors import MocapError
+from mocap.errors import MocapError, did_you_mean
 from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
 from mocap.pose.method import Method
 
@@ -309,16 +309,7 @@ def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Conf
     try:
         return Config.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        dotted = ".".join(str(p) for p in first["loc"])
-        what = "unknown key" if first["type"] in _UNKNOWN else first["msg"].lower()
-        keys = [setting.partition("=")[0].strip() for setting in settings]
-        is_setting = any(dotted == key or dotted.startswith(key + ".") for key in keys)
-        raise MocapError(
-            f"configuration: {dotted}: {what}",
-            path=None if is_setting else path,
-            remedy=_allowed_keys(first["loc"]),
-        ) from error
+        raise _config_error(error, path, settings) from error
 
 
 def _apply_setting(values: dict[str, Any], setting: str) -> None:
@@ -331,6 +322,8 @@ def _apply_setting(values: dict[str, Any], setting: str) -> None:
         value: Any = parse_toml(f"value = {text.strip()}")["value"]
     except ValueError:
         value = text.strip()  # a bare word is a string
+    if isinstance(value, str) and _is_list(parts):
+        value = _items(value)
     node = values
     for part in parts[:-1]:
         node = node.setdefault(part, {})
@@ -339,15 +332,53 @@ def _apply_setting(values: dict[str, Any], setting: str) -> None:
     node[parts[-1]] = value
 
 
-def _allowed_keys(loc: tuple[int | str, ...]) -> str:
-    section: type = Config
-    for part in loc[:-1]:
-        inner = get_type_hints(section).get(str(part))
+def _is_list(parts: Sequence[str]) -> bool:
+    """Whether a setting takes any number of values."""
+    return get_origin(get_type_hints(_section_of(parts)).get(parts[-1])) is tuple
+
+
+def _items(text: str) -> list[Any]:
+    """`bvh,trc` or `400,200` as a list."""
+    try:
+        return list(parse_toml(f"value = [{text}]")["value"])
+    except ValueError:
+        return [word for item in text.split(",") if (word := item.strip())]
+
+
+def _config_error(error: ValidationError, path: Path, settings: tuple[str, ...]) -> MocapError:
+    """The first mistake of a configuration.  path : of the preset, named unless a setting is to blame."""
+    first = error.errors()[0]
+    loc = [str(part) for part in first["loc"]]
+    dotted = ".".join(loc)
+    section = _section_of(loc)
+    allowed = list(section.model_fields if issubclass(section, BaseModel) else section.__dataclass_fields__)
+    remedy = f"allowed here: {', '.join(allowed)}"
+    if first["type"] in _UNKNOWN:
+        what = f"unknown key{did_you_mean(loc[-1], allowed)}"
+    else:
+        what = first["msg"].lower()
+    if first["type"] == "literal_error" and isinstance(first["loc"][-1], int):
+        what += f", got {first['input']!r}"
+        remedy = f"write for example --set {'.'.join(loc[:-1])}={_example(first['ctx']['expected'])}"
+    keys = [setting.partition("=")[0].strip() for setting in settings]
+    is_setting = any(dotted == key or dotted.startswith(key + ".") for key in keys)
+    return MocapError(f"configuration: {dotted}: {what}", path=None if is_setting else path, remedy=remedy)
+
+
+def _example(expected: str) -> str:
+    """Two of the words that pydantic expects, `'bvh', 'trc' or 'c3d'`, as they are typed."""
+    return ",".join(expected.split("'")[1:4:2])
+
+
+def _section_of(parts: Sequence[str]) -> Any:
+    """The class of the section or settings that hold a key, as far as there is one."""
+    section: Any = Config
+    for part in parts[:-1]:
+        inner = get_type_hints(section).get(part)
         if not (isinstance(inner, type) and (issubclass(inner, BaseModel) or is_dataclass(inner))):
             break
         section = inner
-    names = section.model_fields if issubclass(section, BaseModel) else vars(section)["__dataclass_fields__"]
-    return f"allowed here: {', '.join(names)}"
+    return section
 
 
 def config_hash(*sections: BaseModel | Method | str | float | int | None) -> str:

@@ -203,7 +203,7 @@ def _check_distances(cameras: list[Camera], path: Path, unit: str, is_assumed: b
         path,
         f"{what} is {in_file:.4g} in the file, which {'taken as' if is_assumed else 'in'} {unit} "
         f"is {span:.4g} m; people are filmed with {PLAUSIBLE_SPAN_M[0]:g} to {high:g} m",
-        remedy="say the unit of the file: calibration_units in session.toml, or the argument units"
+        remedy="say the unit of the file: calibration_units in session.toml, or --units of `mocap convert-calibration`"
         + (f"; {hint} would fit" if hint else ", or calibrate again"),
     )
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mocap.errors import MocapError
+from mocap.errors import MocapError, did_you_mean
 from mocap.files import load_toml
 from mocap.io.units import AXES, UNITS, unit_from_word
 
@@ -61,7 +61,9 @@ def read_session_settings(path: Path | str) -> SessionSettings:
     known = list(SessionSettings.__dataclass_fields__)
     for key in document:
         if key not in known:
-            raise bad_key(path, key, f"is not known; known keys are {', '.join(known)}")
+            raise bad_key(
+                path, key, f"is not known{did_you_mean(key, known)} Known keys are {', '.join(known)}"
+            )
     return SessionSettings(
         fps=_positive(path, document, "fps"),
         frames=_frame_pair(path, document),
