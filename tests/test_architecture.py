@@ -32,23 +32,7 @@ ARROWS: dict[str, frozenset[str]] = {
     "polygons": frozenset({"data"}),
     # Synthetic sessions with exact truth: of the product's rooms it needs the containers and the file formats.
     "synth": frozenset({"data", "io", "polygons"}),
-    "cli": frozenset(
-        {
-            "data",
-            "geometry",
-            "io",
-            "view",
-            "compare",
-            "pipeline",
-            "synth",
-            "cli_cluster",
-            "cli_tools",
-            *STAGES,
-        }
-    ),
-    # Commands that have a file of their own.
-    "cli_cluster": frozenset({"pipeline", "cli"}),
-    "cli_tools": frozenset({"io", "pipeline", "cli"}),
+    "cli": frozenset({"io", "synth", "filters", "metrics", "compare", "pipeline"}),
     "__main__": frozenset({"cli"}),
     "": frozenset(),  # mocap/__init__.py
 }
@@ -69,7 +53,7 @@ ONLY_IN: dict[str, frozenset[str]] = {
     "shelve": frozenset(),
     # Of one operating system.
     **{name: frozenset({"portable"}) for name in ("resource", "fcntl", "msvcrt", "winreg", "pwd", "grp")},
-    "typer": frozenset({"cli", "cli_cluster", "cli_tools", "__main__"}),
+    "typer": frozenset({"cli"}),
 }
 # Slow to import or optional: only inside functions, so that `mocap --help` answers at once.
 LAZY = frozenset(
@@ -169,11 +153,7 @@ def violations(path: Path, text: str, root: Path = ROOT) -> list[str]:
             if other in LAZY_ROOMS and other != own and not item.is_lazy:
                 found.append(f"{at}: import mocap.{other} inside the function that needs it")
             found += [f"{at}: {wrong}" for wrong in _through_a_wall(path.relative_to(root).parts, rest)]
-            if item.module.startswith("mocap.pipeline.config") and own not in (
-                "pipeline",
-                "cli",
-                "cli_cluster",
-            ):
+            if item.module.startswith("mocap.pipeline.config") and own not in ("pipeline", "cli"):
                 found.append(f"{at}: only the pipeline and the command line know the configuration")
         if top in ONLY_IN and own not in ONLY_IN[top]:
             found.append(f"{at}: {own} must not import {top}")
@@ -250,8 +230,8 @@ def test_every_arrow_points_the_right_way_and_nothing_banned_is_written() -> Non
         ("mocap/view/x.py", "from mocap.body import Body", "view must not import body"),
         ("mocap/pipeline/x.py", "def f():\n    import mocap.synth", "must not import synth"),
         ("mocap/pipeline/x.py", "from eval.bench import scene", "must not import eval"),
-        ("mocap/cli.py", "import mocap.synth", "inside the function"),
-        ("mocap/cli.py", "from mocap.synth import synthesise", "inside the function"),
+        ("mocap/cli/x.py", "import mocap.synth", "inside the function"),
+        ("mocap/cli/x.py", "from mocap.synth import synthesise", "inside the function"),
         ("mocap/io/x.py", "import zarr", "inside the function"),
         ("mocap/view/x.py", "import matplotlib.pyplot as plt", "inside the function"),
         ("mocap/view/x.py", "import importlib\nm = importlib.import_module('rerun')", "inside the function"),
@@ -281,7 +261,7 @@ def test_a_wrong_arrow_is_caught(where: str, text: str, message: str) -> None:
         ),
         ("mocap/io/x.py", "def f():\n    import zarr"),
         ("mocap/io/x.py", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import zarr"),
-        ("mocap/cli.py", "def demo():\n    from mocap.synth import synthesise"),
+        ("mocap/cli/x.py", "def demo():\n    from mocap.synth import synthesise"),
         ("mocap/body/_kernels.py", "from numba import njit"),
         ("mocap/body/x.py", "from mocap.errors import MocapError\nfrom mocap.body.model import Body"),
         ("mocap/body/x.py", "import numpy as np\ndef f(*, rng: np.random.Generator): pass"),

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
 from small_session import mocap
 
-from mocap.cli_cluster import duration_text, progress_text, say_progress
+from mocap.cli.progress import cell_progress, duration_text, progress_text
 from mocap.pipeline.cluster import Standing
+from mocap.portable import Stopped
 
 
 @pytest.mark.parametrize("command", ["batch", "sweep", "view", "report", "calibrate"])
@@ -35,7 +37,7 @@ def test_progress() -> None:
 
 
 def test_lines_are_rare_and_the_last_one_comes(capsys: pytest.CaptureFixture[str]) -> None:
-    say = say_progress("sweep")
+    say = cell_progress("sweep")
     for n in range(301):
         say(Standing(300, n, 0, 0, 2, 0.1 * n))
     assert capsys.readouterr().err == "sweep: 300/300 cells, 2 workers\n"
@@ -45,7 +47,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     import mocap.pipeline.cluster as cluster
 
     def stop(*arguments: object, **more: object) -> None:
-        raise KeyboardInterrupt
+        raise Stopped(signal.SIGINT)
 
     monkeypatch.setattr(cluster, "run_sweep", stop)
     (tmp_path / "walk" / "masks").mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""`mocap view`, `mocap report` and `mocap calibrate`: what is done before and after a run."""
+"""Tools before and after a run: check, calibrate, convert-calibration, export, view and report."""
 
 from __future__ import annotations
 
@@ -9,16 +9,9 @@ from typing import Annotated
 
 import typer
 
+from mocap.cli.options import CalibrationOption, FramesOption, RunPath, SessionPath, parse_frames
+from mocap.cli.progress import progress_bar
 from mocap.errors import MissingExtra, MocapError
-
-RunPath = Annotated[Path, typer.Argument(metavar="OUT", help="Output folder of a run.")]
-
-
-def add_commands(app: typer.Typer) -> None:
-    """Hang the commands of this module into the command line."""
-    app.command()(calibrate)
-    app.command()(view)
-    app.command()(report)
 
 
 def calibrate(
@@ -37,7 +30,6 @@ def calibrate(
     frames: Annotated[int, typer.Option("--frames", min=6, help="Frames to look at, spread evenly.")] = 60,
 ) -> None:
     """Lenses and places of the cameras from a clip of a checkerboard that they all film."""
-    from mocap.cli import _progress
     from mocap.io.board_calibration import board_clips, calibrate_on_board, find_board_views
     from mocap.io.calibration import write_calibration
 
@@ -52,7 +44,7 @@ def calibrate(
             f"a board of {size[0]} x {size[1]} inner corners",
             remedy="use one of 3 to 50; corners, not squares",
         )
-    with _progress() as progress:
+    with progress_bar() as progress:
         views = find_board_views(
             board_clips(clips), size, floor_frame=floor_frame, n_frames=frames, progress=progress
         )
@@ -128,3 +120,72 @@ def _open_viewer(scene: Path) -> None:
             path=scene,
         )
     subprocess.Popen([sys.executable, "-m", "rerun", str(scene)], start_new_session=True)
+
+
+def export(
+    result: Annotated[Path, typer.Argument(help="Output folder of a run.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
+    what: Annotated[str, typer.Option("--what", help="voxels or motion.")] = "voxels",
+    format: Annotated[
+        str | None, typer.Option("--format", help="voxels: ply, npz, glb; motion: bvh, trc, c3d, glb.")
+    ] = None,
+    frames: FramesOption = None,
+    cubes: Annotated[
+        bool, typer.Option("--cubes", help="PLY with coloured cubes instead of points.")
+    ] = False,
+) -> None:
+    """Coloured voxels per frame, or motion, from a finished run, for other tools."""
+    from mocap.pipeline.export import export_run
+
+    with progress_bar() as progress:
+        written = export_run(
+            result,
+            out,
+            what=what,
+            format=format,
+            frames=parse_frames(frames),
+            cubes=cubes,
+            progress=progress,
+        )
+    more = f" ... {written[-1].name}" if len(written) > 1 else ""
+    typer.echo(f"{len(written)} file{'s' * (len(written) != 1)}: {written[0]}{more}")
+
+
+def check(
+    session: SessionPath,
+    calibration: CalibrationOption = None,
+    frames: FramesOption = None,
+) -> None:
+    """Look at a session before running it: calibration, cameras, clips, background, and what to mend."""
+    from mocap.io.session import check_session, open_session
+
+    opened = open_session(session, calibration=calibration, frames=parse_frames(frames))
+    findings = check_session(opened)
+    for finding in findings:
+        where = f" [{finding.camera}]" if finding.camera else ""
+        remedy = f" Remedy: {finding.remedy}." if finding.remedy else ""
+        typer.echo(f"{finding.severity:>8}{where}: {finding.message}{remedy}")
+    n_errors = sum(f.severity == "error" for f in findings)
+    n_warnings = sum(f.severity == "warning" for f in findings)
+    typer.echo(f"{n_errors} errors, {n_warnings} warnings")
+    if n_errors:
+        raise typer.Exit(2)
+
+
+def convert_calibration(
+    source: Annotated[Path, typer.Argument(help="Calibration file of any supported format.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="TOML file to write (metres, world to camera).")],
+    units: Annotated[
+        str | None, typer.Option("--units", help="m, cm or mm, when the file does not say.")
+    ] = None,
+) -> None:
+    """Read a calibration of any supported format and write our own TOML in metres."""
+    from mocap.io.calibration import read_calibration, write_calibration
+
+    if units is not None and units not in ("m", "cm", "mm"):
+        raise MocapError(f"unknown unit {units!r}", remedy="give --units m, cm or mm")
+    found = read_calibration(source, units=units, check_world=False)
+    write_calibration(out, found.rig, metadata={"source_format": found.format})
+    typer.echo(f"{found.format}, units {found.units}: {len(found.rig)} cameras -> {out}")
+    for note in (*found.notes, *found.warnings):
+        typer.echo(f"  {note}")

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mocap.cli.interrupt import how_to_go_on
+from mocap.cli.options import parse_frames
+from mocap.cli.progress import cell_progress
 from mocap.errors import MocapError
 
 if TYPE_CHECKING:
-    from mocap.pipeline.cluster import Engine, Standing, SweepResult
+    from mocap.pipeline.cluster import Engine, SweepResult
 
 # Exit code when the command did its work but some cells failed; 2 is for mistakes in the command itself.
 SOME_FAILED = 1
-_SAY_EVERY_S = 10.0
 
 SchedulerOption = Annotated[
     str | None,
@@ -31,12 +29,6 @@ WorkersOption = Annotated[
     typer.Option("--workers", min=0, help="Processes on this machine; 0 = in this one, without dask."),
 ]
 CellThreadsOption = Annotated[int, typer.Option("--threads", min=1, help="Threads of each cell.")]
-
-
-def add_commands(app: typer.Typer) -> None:
-    """Hang the commands of this module into the command line."""
-    app.command()(batch)
-    app.command()(sweep)
 
 
 def batch(
@@ -53,12 +45,11 @@ def batch(
     threads: CellThreadsOption = 1,
 ) -> None:
     """Many sessions, one run each, and a table of scores; finished runs are not repeated."""
-    from mocap.cli import _parse_frames
     from mocap.pipeline.cluster import find_sessions, run_batch
 
     found = find_sessions(sessions)
     typer.echo(f"{len(found)} session{'s' * (len(found) != 1)} into {out}")
-    with _stoppable(out):
+    with how_to_go_on(lambda: _finished_cells(out)):
         result = run_batch(
             found,
             out,
@@ -66,11 +57,11 @@ def batch(
             preset=preset,
             settings=settings or (),
             seed=seed,
-            frames=_parse_frames(frames),
+            frames=parse_frames(frames),
             n_threads=threads,
-            progress=say_progress("batch"),
+            progress=cell_progress("batch"),
         )
-    _say_result(result, out, is_summary=False)
+    _echo_result(result, out, is_summary=False)
 
 
 def sweep(
@@ -111,7 +102,7 @@ def sweep(
             "there is no folder for the results", remedy="give one with -o, or --plan to look only"
         )
     typer.echo(f"{len(cells)} cells into {out}")
-    with _stoppable(out):
+    with how_to_go_on(lambda: _finished_cells(out)):
         result = run_sweep(
             read,
             out,
@@ -119,21 +110,13 @@ def sweep(
             cells=cells,
             n_threads=threads,
             keep_runs=keep,
-            progress=say_progress("sweep"),
+            progress=cell_progress("sweep"),
         )
-    _say_result(result, out, is_summary=True)
+    _echo_result(result, out, is_summary=True)
 
 
-@contextmanager
-def _stoppable(out: Path) -> Iterator[None]:
-    """Ctrl-C ends the workers and says how to go on."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        sys.stderr.write(
-            f"\nmocap: stopped by the user. What is finished is kept in {out}; repeat the command to go on.\n"
-        )
-        raise typer.Exit(130) from None
+def _finished_cells(out: Path) -> str:
+    return f"What is finished is kept in {out}; repeat the command to go on."
 
 
 def _engine(workers: int | None, scheduler: str | None) -> Engine:
@@ -147,51 +130,7 @@ def _engine(workers: int | None, scheduler: str | None) -> Engine:
     return Engine(scheduler=scheduler, n_workers=workers)
 
 
-def say_progress(name: str) -> Callable[[Standing], None]:
-    """How many cells are done and how long the rest will take: one line that is rewritten on a terminal, a line every
-    ten seconds elsewhere."""
-    is_terminal = sys.stderr.isatty()
-    last = time.monotonic()
-
-    def say(standing: Standing) -> None:
-        nonlocal last
-        is_end = standing.n_finished == standing.n_total
-        if not (is_terminal or is_end or time.monotonic() - last > _SAY_EVERY_S):
-            return
-        last = time.monotonic()
-        text = f"{name}: {progress_text(standing)}"
-        sys.stderr.write(f"\r\x1b[K{text}" + "\n" * is_end if is_terminal else f"{text}\n")
-        sys.stderr.flush()
-
-    return say
-
-
-def progress_text(standing: Standing) -> str:
-    """For example `3/10 cells, 1 failed, 2 from earlier, 4 workers, about 1 min 20 s left`."""
-    parts = [f"{standing.n_finished}/{standing.n_total} cells"]
-    if standing.n_failed:
-        parts.append(f"{standing.n_failed} failed")
-    if standing.n_reused:
-        parts.append(f"{standing.n_reused} from earlier")
-    if standing.n_workers:
-        parts.append(f"{standing.n_workers} worker{'s' * (standing.n_workers != 1)}")
-    left = standing.left_s
-    if left is not None and standing.n_finished < standing.n_total:
-        parts.append(f"about {duration_text(left)} left")
-    return ", ".join(parts)
-
-
-def duration_text(seconds: float) -> str:
-    """40 s, 1 min 20 s, 2 h 5 min."""
-    whole = max(1, round(seconds))
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
-
-
-def _say_result(result: SweepResult, out: Path, *, is_summary: bool) -> None:
+def _echo_result(result: SweepResult, out: Path, *, is_summary: bool) -> None:
     import csv
 
     from mocap.pipeline.cluster.tables import plain_table

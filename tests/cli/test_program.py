@@ -1,0 +1,132 @@
+"""The program around its commands: version, completion, Ctrl-C, and mistakes that are met with the right word."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_session import PLAIN, mocap, set_options
+
+import mocap as library
+import mocap.compare as compare_package
+from mocap.pipeline.config import load_config
+from mocap.portable import Stopped
+
+ROOT = Path(library.__file__).resolve().parents[1]
+
+
+def test_version_is_printed() -> None:
+    said = mocap("--version")
+    assert (said.code, said.err) == (0, "")
+    assert said.out.startswith("mocap")
+
+
+def test_the_shell_completes_commands() -> None:
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "_MOCAP_COMPLETE": "complete_bash",
+        "COMP_WORDS": "mocap convert",
+        "COMP_CWORD": "1",
+    }
+    code = "import sys; sys.argv = ['mocap']; from mocap.cli import app; app(prog_name='mocap')"
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert done.stdout.split() == ["convert-calibration"]
+    assert "--install-completion" in mocap("--help").out
+
+
+def test_lists_are_written_with_commas() -> None:
+    assert load_config("default", ("output.formats=bvh,trc",)).output.formats == ("bvh", "trc")
+    assert load_config("default", ("output.formats= c3d ",)).output.formats == ("c3d",)
+    assert load_config("default", ("pose.level_particles=400,200",)).pose.level_particles == (400, 200)
+
+
+def test_an_unknown_format_is_answered_with_the_known_ones_and_an_example(tmp_path: Path) -> None:
+    said = mocap("run", tmp_path, "-o", tmp_path / "out", "--set", "output.formats=bvh,csv")
+    assert said.code == 2
+    assert "'trc', 'c3d', 'glb'" in said.err
+    assert "got 'csv'" in said.err
+    assert "for example --set output.formats=bvh,trc" in said.err
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [("pose.n_partcles=5", "did you mean 'n_particles'?"), ("psoe.filter=sir", "did you mean 'pose'?")],
+)
+def test_a_mistyped_setting_is_guessed(tmp_path: Path, setting: str, words: str) -> None:
+    assert words in mocap("run", tmp_path, "-o", tmp_path / "out", "--set", setting).err
+
+
+def test_a_mistyped_key_of_session_toml_is_guessed(session: Path, tmp_path: Path) -> None:
+    from small_session import copy_session
+
+    copy = copy_session(session, tmp_path / "session")
+    with (copy / "session.toml").open("a") as stream:
+        stream.write("\nperson_heigth_m = 1.8\n")
+    said = mocap("check", copy)
+    assert said.code == 2
+    assert "person_heigth_m is not known; did you mean 'person_height_m'?" in said.err
+
+
+def test_a_mistyped_stage_is_guessed(tmp_path: Path) -> None:
+    said = mocap("run", tmp_path, "-o", tmp_path / "out", "--until", "tracks")
+    assert said.code == 2
+    assert "--until: there is no stage named 'tracks'; did you mean 'track'?" in said.err
+
+
+def test_a_calibration_of_unlikely_size_names_the_option(session: Path, tmp_path: Path) -> None:
+    said = mocap(
+        "convert-calibration", session / "calibration.toml", "-o", tmp_path / "new.toml", "--units", "mm"
+    )
+    assert said.code == 2
+    assert "--units" in said.err
+    assert "argument" not in said.err
+
+
+def interrupt_after(stage: str) -> Callable[..., Any]:
+    """run_session that works up to a stage, and is stopped by Ctrl-C in the next one."""
+    from mocap.pipeline.run import run_session
+
+    def run(*args: Any, **more: Any) -> None:
+        heard = more["progress"]
+        run_session(*args, **{**more, "until": stage})
+        heard("carve", 1, 4)
+        raise Stopped(signal.SIGINT)
+
+    return run
+
+
+def test_ctrl_c_in_a_run_says_what_is_kept_and_the_command_that_goes_on(
+    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import mocap.pipeline.run as pipeline
+
+    out = tmp_path / "out"
+    arguments = ("run", session, "-o", out, "--until", "carve", "--frames", ":4", *set_options(PLAIN))
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline, "run_session", interrupt_after("segment"))
+        said = mocap(*arguments)
+    assert said.code == 130
+    assert f"mocap: stopped by SIGINT. Finished and kept in {out}: segment." in said.err
+    assert "Traceback" not in said.err
+    go_on = said.err.strip().partition("Go on with: mocap ")[2]
+    assert go_on.endswith("--resume")
+    again = mocap(*arguments, "--resume")
+    assert again.code == 0, again.err
+    assert "segment  reused" in again.out
+
+
+def test_ctrl_c_anywhere_else_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*args: object) -> None:
+        raise Stopped(signal.SIGINT)
+
+    monkeypatch.setattr(compare_package, "compare", stop)
+    said = mocap("eval", tmp_path, tmp_path)
+    assert said.code == 130
+    assert said.err.strip() == "mocap: stopped by SIGINT. It was not done; repeat the command."
