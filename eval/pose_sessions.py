@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.whole import write_csv, write_text
+from mocap.metrics.catalogue import heading, score_of
 
 ROOT = Path(__file__).resolve().parents[1]
 DEV = ROOT.parent / "shared" / "dev_sessions"
@@ -47,12 +48,7 @@ SCENES = (
 )
 DEV_SESSIONS = ("walk", "reach", "cross", "room")
 PRESETS = ("reference", "default")
-FIELDS = (
-    "session",
-    "preset",
-    "seed",
-    "frames",
-    "persons",
+SCORES = (
     "mean_error_mm",
     "std_error_mm",
     "mean_error_after_offset_mm",
@@ -64,9 +60,12 @@ FIELDS = (
     "mota_percent",
     "volume_iou",
     "coverage_90_percent",
-    "pose_fps",
-    "total_fps",
-    "peak_memory_mb",
+)
+SHOWN = tuple(key for key in SCORES if key != "std_error_mm")
+FIELDS = (
+    *("session", "preset", "seed", "frames", "persons"),
+    *SCORES,
+    *("pose_fps", "total_fps", "peak_memory_mb"),
 )
 
 
@@ -104,7 +103,7 @@ def measure(name: str, folder: Path | None, preset: str, seed: int, work: Path) 
     total = (pose_s or 0.0) + sum(stages.values())
     row: dict[str, Any] = {"session": name, "preset": preset, "seed": seed, "frames": n}
     row["persons"] = len(result.poses)
-    for field in FIELDS[5:16]:
+    for field in SCORES:
         value = scores.get(field)
         row[field] = None if value is None else round(float(value), 3)
     row["pose_fps"] = round(n / pose_s, 2) if pose_s else None
@@ -127,12 +126,13 @@ def read_csv() -> list[dict[str, Any]]:
     return rows
 
 
-def _cell(rows: list[dict[str, Any]], field: str, digits: int = 1) -> str:
+def _cell(rows: list[dict[str, Any]], field: str) -> str:
+    digits = score_of(field).decimals or 1
     values = [float(r[field]) for r in rows if r[field] is not None]
     if not values:
         return "-"
     text = f"{statistics.fmean(values):.{digits}f}"
-    if len(values) > 1 and digits:
+    if len(values) > 1:
         text += f" ± {statistics.stdev(values):.{digits}f}"
     return text
 
@@ -165,33 +165,6 @@ pose, without exports and report:
 
 | session | preset | frames/s, pose stage | frames/s, all stages | peak memory MB |
 |---|---|---|---|---|"""
-_COLUMNS = (
-    "session",
-    "preset",
-    "seeds",
-    "raw mm",
-    "after offset mm",
-    "MMTP mm",
-    "MMTA %",
-    "angle deg",
-    "lost wrist %",
-    "MOTP mm",
-    "MOTA %",
-    "hull IoU",
-    "90 % coverage",
-)
-_SHOWN = (
-    ("mean_error_mm", 1),
-    ("mean_error_after_offset_mm", 1),
-    ("mmtp_mm", 1),
-    ("mmta_percent", 1),
-    ("angle_mean_deg", 1),
-    ("lost_wrist_percent", 1),
-    ("motp_mm", 0),
-    ("mota_percent", 0),
-    ("volume_iou", 2),
-    ("coverage_90_percent", 0),
-)
 
 
 def _row(cells: Sequence[str]) -> str:
@@ -200,11 +173,12 @@ def _row(cells: Sequence[str]) -> str:
 
 def results_page(rows: list[dict[str, Any]]) -> str:
     """The generated part of docs/results.md."""
-    lines = [_HEAD, _row(_COLUMNS), "|---" * len(_COLUMNS) + "|"]
+    columns = ["session", "preset", "seeds", *map(heading, SHOWN)]
+    lines = [_HEAD, _row(columns), "|---" * len(columns) + "|"]
     keys = list(dict.fromkeys((r["session"], r["preset"]) for r in rows))
     for session, preset in keys:
         own = [r for r in rows if (r["session"], r["preset"]) == (session, preset)]
-        cells = [_cell(own, field, digits) for field, digits in _SHOWN]
+        cells = [_cell(own, field) for field in SHOWN]
         lines.append(_row([session, preset, str(len(own)), *cells]))
     lines.append(_SPEED_HEAD)
     for session, preset in keys:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mocap.metrics.catalogue import heading
 from mocap.view.html import (
     Figure,
     PageSection,
@@ -38,13 +39,16 @@ _ALIGNMENTS = {
     "rigid": ("rigidly aligned", "rotated and moved onto the truth in every frame"),
     "procrustes": ("Procrustes-aligned (PA)", "rotated, moved and scaled in every frame"),
 }
-_POINT_COLUMNS = (
-    ("mean_error_mm", "Mean (mm)"),
-    ("std_error_mm", "Deviation (mm)"),
-    ("mmtp_mm", "MMTP (mm)"),
-    ("mmtp_std_mm", "its deviation (mm)"),
-    ("mmta_percent", "MMTA (%)"),
-    ("pck_auc_percent", "PCK area (%)"),
+_POINT_COLUMNS = tuple(
+    (key, heading(key))
+    for key in (
+        "mean_error_mm",
+        "std_error_mm",
+        "mmtp_mm",
+        "mmtp_std_mm",
+        "mmta_percent",
+        "pck_auc_percent",
+    )
 )
 
 

@@ -149,6 +149,69 @@ CATALOGUE: dict[str, Score] = {
         "Frames",
         decimals=0,
     ),
+    "mmtp_std_mm": Score(
+        "Spread of MMTP", "mm", "lower", "Standard deviation of the errors within epsilon.", "its deviation"
+    ),
+    "epsilon_qq_mm": Score(
+        "Natural epsilon (Q-Q line)",
+        "mm",
+        "lower",
+        "The same by the straightest line of the errors' quantiles.",
+        "By Q-Q line",
+    ),
+    "mean_error_after_world_offset_mm": Score(
+        "Mean error after fixed offsets",
+        "mm",
+        "lower",
+        "After one constant offset per landmark that does not turn with the body.",
+        "After fixed offset",
+    ),
+    "motp_xyz_mm": Score(
+        "MOTP in space", "mm", "lower", "MOTP with the height, not on the floor alone.", "MOTP in space"
+    ),
+    "deta_percent": Score(
+        "DetA (detection)",
+        "%",
+        "higher",
+        "The part of HOTA that counts persons found, whoever they are.",
+        "DetA",
+    ),
+    "assa_percent": Score(
+        "AssA (association)", "%", "higher", "The part of HOTA that counts persons kept apart.", "AssA"
+    ),
+    "sharpness_90_mm": Score(
+        "Size of the uncertainty",
+        "mm",
+        "lower",
+        "Mean radius of the stated 90 % regions; small is worth something only where they are honest.",
+        "90 % radius",
+    ),
+    "landmarks_missing": Score(
+        "Landmarks missing",
+        "",
+        "lower",
+        "True landmarks without an estimate; they count as not found.",
+        "Missing",
+        decimals=0,
+    ),
+    "landmarks_scored": Score(
+        "Landmarks scored", "", "", "True landmarks that are known.", "Scored", decimals=0
+    ),
+    "persons_truth": Score("Persons in the truth", "", "", "Who was there.", "True persons", decimals=0),
+    "persons_matched": Score(
+        "Persons matched", "", "higher", "True persons with an estimate.", "Matched persons", decimals=0
+    ),
+    "extra_persons": Score(
+        "Extra persons",
+        "",
+        "lower",
+        "Estimated persons whom the truth does not know.",
+        "Extra persons",
+        decimals=0,
+    ),
+    "pck_auc_limit_mm": Score(
+        "Limit of the PCK area", "mm", "", "Threshold up to which the area is taken.", "PCK limit"
+    ),
     "pck_auc_percent": Score(
         "PCK, area under the curve",
         "%",
@@ -243,6 +306,19 @@ def score_of(key: str) -> Score:
     unit = next((u for ending, u in _UNIT_OF_ENDING.items() if key.endswith(ending)), "")
     words = key.replace("_", " ")
     return Score(words, unit, "", "", words, decimals=1 if unit else None)
+
+
+def heading(key: str) -> str:
+    """The head of a column: label and unit."""
+    score = score_of(key)
+    return f"{score.label} ({score.unit})" if score.unit else score.label
+
+
+def score_hint(key: str) -> str:
+    """The score in one line: name, what it means, and which values are good."""
+    score = score_of(key)
+    direction = f" {score.better.capitalize()} is better." if score.better else ""
+    return f"{score.name}. {score.meaning}{direction}".strip() if score.meaning else score.name
 
 
 def score_text(value: float | None, score: Score) -> str:

@@ -18,6 +18,7 @@ from typing import Any
 
 from mocap.errors import MocapError
 from mocap.io._files import atomic_text
+from mocap.metrics.catalogue import CATALOGUE, score_hint
 from mocap.pipeline.cluster.engine import Outcome
 
 _FIRST_SCORES = ("mean_error_mm", "mmtp_mm", "mmta_percent", "angle_mean_deg", "motp_mm", "mota_percent")
@@ -167,13 +168,19 @@ def page(
 
 def _html_table(rows: Sequence[Mapping[str, Any]]) -> str:
     names = list(dict.fromkeys(name for row in rows for name in row))
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in names)
+    head = "".join(_head_cell(name) for name in names)
     lines = []
     for row in rows:
         kind = ' class="failed"' if row.get("status") == "failed" else ""
         cells = "".join(f"<td>{html.escape(_short(row.get(name)))}</td>" for name in names)
         lines.append(f"<tr{kind}>{cells}</tr>")
     return f"<table><thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(lines) + "\n</tbody></table>"
+
+
+def _head_cell(name: str) -> str:
+    """The head of a column; what a score means is shown when the pointer rests on it."""
+    hint = f' title="{html.escape(score_hint(name))}"' if name in CATALOGUE else ""
+    return f"<th{hint}>{html.escape(name)}</th>"
 
 
 def _short(value: Any) -> str:
