@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mocap.pipeline.cluster import Standing
-    from mocap.pipeline.stage import Progress
+    from mocap.progress import Progress
 
 _EVERY_S = 10.0  # between two lines where nothing can be rewritten
 
