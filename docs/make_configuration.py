@@ -1,7 +1,7 @@
 """Write docs/configuration.md from the configuration models, so that the page cannot fall behind the code.
 
-python docs/make_configuration.py            # write the page
-python docs/make_configuration.py --check    # exit with 1 when the page is out of step
+python -m docs.make_configuration            # write the page
+python -m docs.make_configuration --check    # exit with 1 when the page is out of step
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def main(argv: list[str]) -> int:
     if "--check" in argv:
         is_same = PAGE.exists() and PAGE.read_text(encoding="utf-8") == page()
         if not is_same:
-            print(f"{PAGE.name} is out of step; run: python docs/make_configuration.py", file=sys.stderr)
+            print(f"{PAGE.name} is out of step; run: python -m docs.make_configuration", file=sys.stderr)
         return 0 if is_same else 1
     PAGE.write_text(page(), encoding="utf-8")
     return 0

@@ -1,6 +1,6 @@
 """Make docs/pictures/decomposition.png: the sets of parts of the body, and what swapping does to a posterior.
 
-python docs/make_decomposition_picture.py
+python -m docs.make_decomposition_picture
 """
 
 from __future__ import annotations

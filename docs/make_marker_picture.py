@@ -1,6 +1,6 @@
 """Write docs/pictures/markers.jpg: yellow balls, what the colour detector finds, and the pose from it.
 
-python docs/make_marker_picture.py SESSION OUT      # a session with balls, and the run on it with --observation markers
+python -m docs.make_marker_picture SESSION OUT      # a session with balls, and the run on it with --observation markers
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Write docs/pictures/metrics_epsilon.png and metrics_reliability.png, and print the numbers of docs/metrics.md.
 
-python docs/make_metrics_pictures.py          # 2 s; a synthetic case whose truth is known, no files needed
+python -m docs.make_metrics_pictures          # 2 s; a synthetic case whose truth is known, no files needed
 """
 
 from __future__ import annotations

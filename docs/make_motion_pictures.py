@@ -1,7 +1,7 @@
 """Make the pictures of motions and bodies in docs/synthetic.md: five instants of each scene side by side.
 
-    python docs/make_motion_pictures.py             # all, into docs/pictures
-    python docs/make_motion_pictures.py jog fall    # some
+    python -m docs.make_motion_pictures             # all, into docs/pictures
+    python -m docs.make_motion_pictures jog fall    # some
 
 No session is written: the pictures are rendered from the scenes, without noise.
 """

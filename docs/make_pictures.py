@@ -1,7 +1,7 @@
 """Make the pictures of the documentation from a run of the demo.
 
     mocap demo                      # session in out/demo/session, result in out/demo/result
-    python docs/make_pictures.py    # pictures in docs/pictures
+    python -m docs.make_pictures    # pictures in docs/pictures
 
 Every picture shows the synthetic demo session; no other footage is needed.
 """

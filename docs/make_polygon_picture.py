@@ -1,6 +1,6 @@
 """Make the contact sheet of the polygon world.
 
-python docs/make_polygon_picture.py    # docs/pictures/polygons.png, half a minute
+python -m docs.make_polygon_picture    # docs/pictures/polygons.png, half a minute
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Make the contact sheets of the scene families in docs/synthetic.md.
 
-    python docs/make_scene_pictures.py               # all, into docs/pictures
-    python docs/make_scene_pictures.py meeting       # some
+    python -m docs.make_scene_pictures               # all, into docs/pictures
+    python -m docs.make_scene_pictures meeting       # some
 
 No session is written: only the pictures shown are rendered.
 """

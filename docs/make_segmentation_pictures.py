@@ -1,7 +1,7 @@
 """Make docs/pictures/segmentation.png and refined.png from the synthetic demo session.
 
 mocap synth --scene demo -o out/demo/session
-python docs/make_segmentation_pictures.py [--session out/demo/session]
+python -m docs.make_segmentation_pictures [--session out/demo/session]
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 mocap synth --scene crossing_01 -o out/crossing/session
 mocap carve out/crossing/session -o out/crossing/result --frames 0:110
-python docs/make_tracking_picture.py out/crossing/result
+python -m docs.make_tracking_picture out/crossing/result
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Make the pictures of docs/volumes.md from synthetic sessions.
 
 for s in demo fault_moved fault_lag; do mocap synth --scene $s -o out/camera_faults/$s; done
-python docs/make_volume_pictures.py
+python -m docs.make_volume_pictures
 """
 
 from __future__ import annotations

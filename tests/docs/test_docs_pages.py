@@ -59,7 +59,7 @@ def test_pictures_are_small_and_used() -> None:
 def test_configuration_page_is_in_step() -> None:
     script = load("make_configuration")
     found = (DOCS / "configuration.md").read_text(encoding="utf-8")
-    assert found == script.page(), "run: python docs/make_configuration.py"
+    assert found == script.page(), "run: python -m docs.make_configuration"
 
 
 def test_body_page_names_every_key() -> None:
