@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,8 +49,6 @@ def tracking_scores(
     gate_m : largest horizontal distance of a match.  frames : score only these; None = all frames of either.
     Source: CF Eq. 4.22-4.23 (Bernardin, CLEAR); distances in xy as there, the spatial MOTP is an extra.
     """
-    from scipy.optimize import linear_sum_assignment
-
     if not gate_m > 0:
         raise ValueError(f"gate_m must be positive, got {gate_m}")
     scored = np.union1d(estimate.frame, truth.frame) if frames is None else np.unique(np.asarray(frames))
@@ -64,21 +62,8 @@ def tracking_scores(
         object_ids, object_xyz = objects.get(int(frame), nobody)
         track_ids, track_xyz = hypotheses.get(int(frame), nobody)
         gap = np.linalg.norm(object_xyz[:, None, :2] - track_xyz[None, :, :2], axis=2)
-        pairs: list[tuple[int, int]] = []
-        column_of = {int(h): j for j, h in enumerate(track_ids)}
-        for i, person in enumerate(object_ids):
-            j = column_of.get(last.get(int(person), -1), -1)
-            if j >= 0 and gap[i, j] <= gate_m and all(j != used for _, used in pairs):
-                pairs.append((i, j))
-        rows = [i for i in range(len(object_ids)) if all(i != used for used, _ in pairs)]
-        columns = [j for j in range(len(track_ids)) if all(j != used for _, used in pairs)]
-        if rows and columns:
-            rest = gap[np.ix_(rows, columns)]
-            # One forbidden pair costs more than all allowed ones together: as many matches as possible.
-            forbidden = gate_m * (min(rest.shape) + 1)
-            for i, j in zip(*linear_sum_assignment(np.where(rest <= gate_m, rest, forbidden)), strict=True):
-                if rest[i, j] <= gate_m:
-                    pairs.append((rows[i], columns[j]))
+        pairs = _kept_pairs(object_ids, track_ids, last, gap, gate_m)
+        pairs += _new_pairs(pairs, gap, gate_m)
         for i, j in pairs:
             person, track = int(object_ids[i]), int(track_ids[j])
             mismatches += last.get(person, track) != track
@@ -101,6 +86,38 @@ def tracking_scores(
         n_frames=len(scored),
         gate_m=float(gate_m),
     )
+
+
+def _kept_pairs(
+    object_ids: NDArray[np.int64],
+    track_ids: NDArray[np.int64],
+    last: Mapping[int, int],
+    gap: Array,
+    gate_m: float,
+) -> list[tuple[int, int]]:
+    """Rows and columns of `gap` (P, K) of persons who keep the track that they had last.  last : person -> track."""
+    column_of = {int(track): j for j, track in enumerate(track_ids)}
+    pairs: list[tuple[int, int]] = []
+    for i, person in enumerate(object_ids):
+        j = column_of.get(last.get(int(person), -1), -1)
+        if j >= 0 and gap[i, j] <= gate_m and all(j != used for _, used in pairs):
+            pairs.append((i, j))
+    return pairs
+
+
+def _new_pairs(kept: Sequence[tuple[int, int]], gap: Array, gate_m: float) -> list[tuple[int, int]]:
+    """As many pairs within the gate as possible among those not yet kept, at the least total distance."""
+    from scipy.optimize import linear_sum_assignment
+
+    rows = sorted(set(range(gap.shape[0])) - {i for i, _ in kept})
+    columns = sorted(set(range(gap.shape[1])) - {j for _, j in kept})
+    if not rows or not columns:
+        return []
+    rest = gap[np.ix_(rows, columns)]
+    # One forbidden pair costs more than all allowed ones together: as many matches as possible.
+    forbidden = gate_m * (min(rest.shape) + 1)
+    assigned = zip(*linear_sum_assignment(np.where(rest <= gate_m, rest, forbidden)), strict=True)
+    return [(rows[i], columns[j]) for i, j in assigned if rest[i, j] <= gate_m]
 
 
 @dataclass(frozen=True)

@@ -191,17 +191,10 @@ def _claim_components(
     frame: Frame, tracks: tuple[Track, ...], xyz: Array
 ) -> tuple[dict[int, Claim], NDArray[np.bool_]]:
     """Give every track the component that fills its ellipsoid most; divide components that hold several."""
-    parts, settings = frame.parts, frame.settings
-    members: dict[int, list[int]] = {}
-    exclusive, every = _votes(frame, xyz)
-    for t, track in enumerate(tracks):
-        for votes in (exclusive[t], every[t]):  # CF Eq. 4.7: what two tracks see decides for neither
-            if votes.any() and votes.max() * frame.side_kg >= settings.min_support_kg:
-                members.setdefault(_best_component(frame, track, votes), []).append(t)
-                break
+    parts = frame.parts
     is_taken = np.zeros(len(parts), dtype=bool)
     claims: dict[int, Claim] = {}
-    for k, inside_k in members.items():
+    for k, inside_k in _members(frame, tracks, xyz).items():
         is_taken[k] = True
         # A tentative track has not shown yet that it is a body of its own: beside a confirmed one it is a ghost.
         inside_k = [t for t in inside_k if tracks[t].status != TENTATIVE] or inside_k
@@ -212,6 +205,18 @@ def _claim_components(
                 continue
         claims.update(_divide(frame, parts.voxels(k), inside_k, tracks, xyz))
     return claims, is_taken
+
+
+def _members(frame: Frame, tracks: tuple[Track, ...], xyz: Array) -> dict[int, list[int]]:
+    """Component -> tracks whose ellipsoid it fills most."""
+    members: dict[int, list[int]] = {}
+    exclusive, every = _votes(frame, xyz)
+    for t, track in enumerate(tracks):
+        for votes in (exclusive[t], every[t]):  # CF Eq. 4.7: what two tracks see decides for neither
+            if votes.any() and votes.max() * frame.side_kg >= frame.settings.min_support_kg:
+                members.setdefault(_best_component(frame, track, votes), []).append(t)
+                break
+    return members
 
 
 def _judged(frame: Frame, track: Track, claim: Claim) -> Claim:
@@ -368,11 +373,8 @@ def _free_persons(
     """
     parts = frame.parts
     owners = np.array([c.centroid for c in claims.values() if len(c.voxels)])
-    free = [
-        int(k)
-        for k in np.flatnonzero(~is_taken & (parts.weight_kg >= frame.settings.min_support_kg))
-        if frame.verdicts[k] or (lying and may_lie(parts.features(int(k))))
-    ]
+    heavy = np.flatnonzero(~is_taken & (parts.weight_kg >= frame.settings.min_support_kg)).tolist()
+    free = [k for k in heavy if frame.verdicts[k] or (lying and may_lie(parts.features(k)))]
     if len(owners) and free:
         gap = np.linalg.norm(parts.centroid[free, None, :2] - owners[None, :, :2], axis=2)
         free = [k for k, d in zip(free, gap, strict=True) if d.min() >= frame.settings.min_distance_m]
@@ -393,23 +395,13 @@ def _reacquire(
     missing = [t for t in range(len(tracks)) if t not in claims or not claims[t].is_person]
     if not missing:
         return
-    parts, settings = frame.parts, frame.settings
     healthy = {t: c for t, c in claims.items() if c.is_person}
-    free = _free_persons(frame, healthy, is_taken)
-    looks = {k: frame.appearance(parts.voxels(k)) for k in free} if settings.keep_identity else {}
     pairs = []
-    for t in missing:
-        for k in free:
-            gap = float(np.linalg.norm(parts.centroid[k, :2] - xyz[t, :2]))
-            reach = settings.reacquire_distance_m
-            alike = likeness(tracks[t].appearance, looks.get(k))
-            if alike is not None and alike < _UNLIKE:
-                continue
-            if alike is not None and alike >= settings.reid_likeness and tracks[t].status == COASTING:
-                reach += 1.5 * tracks[t].misses / settings.fps
-            if settings.follow_low and _is_left_behind(frame, tracks[t], part_claim(frame, k)):
-                continue
-            if gap <= reach:
+    for k in _free_persons(frame, healthy, is_taken):
+        look = frame.appearance(frame.parts.voxels(k)) if frame.settings.keep_identity else None
+        for t in missing:
+            gap = float(np.linalg.norm(frame.parts.centroid[k, :2] - xyz[t, :2]))
+            if gap <= _reach(frame, tracks[t], k, look):
                 pairs.append((gap, t, k))
     found: set[int] = set()
     for _, t, k in sorted(pairs):
@@ -417,6 +409,22 @@ def _reacquire(
             claims[t] = part_claim(frame, k, is_new=True)
             is_taken[k] = True
             found.add(t)
+
+
+def _reach(frame: Frame, track: Track, k: int, look: Histogram | None) -> float:
+    """How far, m, a track that lost its person may be from component k to take it over; negative = from nowhere.
+
+    look : the component's colours.
+    """
+    settings = frame.settings
+    alike = likeness(track.appearance, look)
+    if alike is not None and alike < _UNLIKE:
+        return -1.0
+    if settings.follow_low and _is_left_behind(frame, track, part_claim(frame, k)):
+        return -1.0
+    if alike is not None and alike >= settings.reid_likeness and track.status == COASTING:
+        return settings.reacquire_distance_m + 1.5 * track.misses / settings.fps
+    return settings.reacquire_distance_m
 
 
 def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> list[int]:

@@ -9,6 +9,7 @@ track that is not seen coasts and is deleted after `lost_frames` frames.  Source
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -59,7 +60,7 @@ class Lives:
     replaced: set[int] = field(default_factory=set)
 
 
-def live_on(
+def advance_lives(
     state: TrackerState,
     predicted: tuple[Track, ...],
     tracks: tuple[Track, ...],
@@ -85,10 +86,10 @@ def live_on(
     lives.tracks = [t for t in lives.tracks if t.serial not in lives.replaced]
     n_serials = state.n_serials
     for slot in newborn:
-        _bear(lives, state, claims[slot], n_serials, used, frame, start)
+        _give_birth(lives, state, claims[slot], n_serials, used, frame, start)
         n_serials += 1
     _merge(lives, n_frames, frame)
-    _look(lives, n_frames, frame)
+    _learn_colours(lives, n_frames, frame)
     confirmed = {t.person for t in lives.tracks if t.status != TENTATIVE}
     lives.tracks.sort(key=lambda t: t.person)
     known = (state.confirmed_ids - set(lives.renamed)) | confirmed
@@ -118,41 +119,56 @@ def _advance(
     is_supported = claim.weight_kg >= settings.min_support_kg
     is_lost_filter = settings.estimate == "filter" and track.efficiency <= 0.0
     is_person = claim.is_person and not is_lost_filter
-    if is_person:
-        hits, misses = track.hits + 1, 0
-        status = track.status if track.status == TENTATIVE else CONFIRMED
-    else:
-        hits, misses = track.hits, track.misses + n_frames
-        status = TENTATIVE if track.status == TENTATIVE else COASTING
-        patience = settings.tentative_misses if status == TENTATIVE else settings.lost_frames
-        if settings.expected_persons is not None and status == COASTING and is_supported:
-            patience *= _PATIENCE
-        if misses > patience:
-            _end(lives, track, "lost", frame)
-            return
-    age = track.age + n_frames
-    if status == TENTATIVE and age > max(settings.tentative_frames, 3 * settings.confirm_frames):
+    aged = _aged(track, n_frames, is_person=is_person)
+    if aged.misses > _patience(aged, settings, is_supported=is_supported):
+        _end(lives, track, "lost", frame)
+        return
+    if aged.status == TENTATIVE and aged.age > max(settings.tentative_frames, 3 * settings.confirm_frames):
         _end(lives, track, "unconfirmed", frame)
         return
-    track = track.but(status=status, age=age, hits=hits, misses=misses)
-    track = _place(predicted, track, claim, is_supported, frame, start)
+    track = _place(predicted, aged, claim, is_supported, frame, start)
     if is_person and not claim.is_shared:
-        # What is a person by its usual weight must not change it: a blob that shrinks would take the track along.
-        rate = 0.0 if claim.is_low else _USUAL_RATE
-        track = track.but(
-            weight_kg=track.weight_kg + rate * (claim.weight_kg - track.weight_kg),
-            top_m=track.top_m + _USUAL_RATE * (claim.features.top_m - track.top_m),
-            last_kg=claim.weight_kg,
-            last_top_m=claim.features.top_m,
-        )
-        # What has just come off a person is not yet itself: its first sightings say where and how large it is.
-        here = _posture(claim)
-        if track.hits <= settings.confirm_frames:
-            track = track.but(home=here)
-        elif not track.has_moved and np.abs(here - track.home).max() >= settings.min_move_m:
-            track = track.but(has_moved=True)
+        track = _with_size(track, claim, settings)
     lives.tracks.append(track)
     lives.claims[track.serial] = claim
+
+
+def _aged(track: Track, n_frames: int, *, is_person: bool) -> Track:
+    """The track n_frames later, seen as a person now or not."""
+    is_tentative = track.status == TENTATIVE
+    if is_person:
+        status = TENTATIVE if is_tentative else CONFIRMED
+        return track.replace(status=status, age=track.age + n_frames, hits=track.hits + 1, misses=0)
+    status = TENTATIVE if is_tentative else COASTING
+    return track.replace(status=status, age=track.age + n_frames, misses=track.misses + n_frames)
+
+
+def _patience(track: Track, settings: TrackerSettings, *, is_supported: bool) -> int:
+    """Frames without a sighting after which a track ends."""
+    if track.status == TENTATIVE:
+        return settings.tentative_misses
+    if settings.expected_persons is not None and track.status == COASTING and is_supported:
+        return settings.lost_frames * _PATIENCE
+    return settings.lost_frames
+
+
+def _with_size(track: Track, claim: Claim, settings: TrackerSettings) -> Track:
+    """Usual weight and height after a frame in which the person stood alone, and whether it has moved."""
+    # What is a person by its usual weight must not change it: a blob that shrinks would take the track along.
+    rate = 0.0 if claim.is_low else _USUAL_RATE
+    track = track.replace(
+        weight_kg=track.weight_kg + rate * (claim.weight_kg - track.weight_kg),
+        top_m=track.top_m + _USUAL_RATE * (claim.features.top_m - track.top_m),
+        last_kg=claim.weight_kg,
+        last_top_m=claim.features.top_m,
+    )
+    # What has just come off a person is not yet itself: its first sightings say where and how large it is.
+    here = _posture(claim)
+    if track.hits <= settings.confirm_frames:
+        return track.replace(home=here)
+    if not track.has_moved and np.abs(here - track.home).max() >= settings.min_move_m:
+        return track.replace(has_moved=True)
+    return track
 
 
 def _place(
@@ -162,7 +178,7 @@ def _place(
     settings = frame.settings
     estimate, spread = track.xyz, track.covariance
     has_estimate = settings.estimate == "filter" and settings.tracker != "naive" and track.efficiency > 0.0
-    track = track.but(xyz=predicted.xyz, covariance=predicted.covariance)
+    track = track.replace(xyz=predicted.xyz, covariance=predicted.covariance)
     floor = motion.place_covariance(settings, is_certain=claim.is_person and not claim.is_shared)
     if has_estimate:
         return motion.observe(track, estimate, spread + floor, settings)
@@ -170,7 +186,7 @@ def _place(
         return track  # nothing to stand on: where the person was going, with the uncertainty of that
     if claim.is_new:
         # Found again from afar: the jump is no velocity.
-        track = track.but(
+        track = track.replace(
             xyz=claim.centroid,
             covariance=floor,
             velocity=np.zeros(3),
@@ -207,34 +223,42 @@ def _exchange(lives: Lives, frame: Frame) -> None:
     settings = frame.settings
     if frame.bins is None or not settings.keep_identity:
         return
-    ready = [
-        i
-        for i, t in enumerate(lives.tracks)
-        if t.mixed > 0
-        and t.is_seen
-        and t.status != TENTATIVE
-        and t.n_appearance >= _MIN_VIEWS
-        and not lives.claims[t.serial].is_shared
-    ]
+    ready = [i for i, track in enumerate(lives.tracks) if _may_be_mixed_up(lives, track)]
     looks = {i: frame.appearance(lives.claims[lives.tracks[i].serial].voxels) for i in ready}
-    for n, i in enumerate(ready):
-        for j in ready[n + 1 :]:
-            a, b = lives.tracks[i], lives.tracks[j]
-            alike = [likeness(track.appearance, looks[k]) for track, k in ((a, j), (b, i), (a, i), (b, j))]
-            if any(v is None for v in alike):
-                continue
-            gain = float(alike[0] + alike[1] - alike[2] - alike[3])  # type: ignore[operator]
-            if gain > settings.identity_margin:
-                lives.tracks[i], lives.tracks[j] = _with_body_of(a, b), _with_body_of(b, a)
-                looks[i], looks[j] = looks[j], looks[i]
-                claims = lives.claims
-                claims[a.serial], claims[b.serial] = claims[b.serial], claims[a.serial]
-                lives.exchanged.append((a.person, b.person))
+    for i, j in itertools.combinations(ready, 2):
+        a, b = lives.tracks[i], lives.tracks[j]
+        gain = _gain_of_exchange(a, b, looks[i], looks[j])
+        if gain is not None and gain > settings.identity_margin:
+            lives.tracks[i], lives.tracks[j] = _with_body_of(a, b), _with_body_of(b, a)
+            looks[i], looks[j] = looks[j], looks[i]
+            claims = lives.claims
+            claims[a.serial], claims[b.serial] = claims[b.serial], claims[a.serial]
+            lives.exchanged.append((a.person, b.person))
+
+
+def _may_be_mixed_up(lives: Lives, track: Track) -> bool:
+    """Whether a track was close to another one, stands alone now, and has colours of the time before."""
+    return (
+        track.mixed > 0
+        and track.is_seen
+        and track.status != TENTATIVE
+        and track.n_appearance >= _MIN_VIEWS
+        and not lives.claims[track.serial].is_shared
+    )
+
+
+def _gain_of_exchange(a: Track, b: Track, look_a: Histogram | None, look_b: Histogram | None) -> float | None:
+    """How much better the colours agree if a is b; None where colours are missing."""
+    crossed = likeness(a.appearance, look_b), likeness(b.appearance, look_a)
+    straight = likeness(a.appearance, look_a), likeness(b.appearance, look_b)
+    if crossed[0] is None or crossed[1] is None or straight[0] is None or straight[1] is None:
+        return None
+    return float(crossed[0] + crossed[1] - straight[0] - straight[1])
 
 
 def _with_body_of(track: Track, other: Track) -> Track:
     """The identity of a track in the place of another one."""
-    return track.but(
+    return track.replace(
         xyz=other.xyz,
         covariance=other.covariance,
         velocity=other.velocity,
@@ -273,25 +297,44 @@ def _confirm(lives: Lives, state: TrackerState, used: set[int], frame: Frame) ->
         is_new = track.status == TENTATIVE
         if is_new and (track.hits < settings.confirm_frames or not _is_credible(track, settings)):
             continue
-        look = _look_of(track, lives.claims[track.serial], frame)
-        person = _recognised(lives, track, look, frame)
-        if person is None and is_new:
-            person = _new_or_expected(lives, state, track, look, frame)
-            if person is None:
-                continue
-        if person is not None and person != track.person:
-            used.add(person)
-            lives.recognised.append(person)
-            lives.renamed.append(track.person)
-            lives.lost = [p for p in lives.lost if p.person != person]
-            track = track.but(person=person, is_named=True)
-        waits = settings.reid_s > 0 and bool(lives.lost) and settings.expected_persons is None
-        is_over = track.hits >= settings.confirm_frames + _MIXED_S * settings.fps
-        is_named = track.is_named or not waits or is_over
-        lives.tracks[i] = track.but(is_named=is_named, status=CONFIRMED if is_new else track.status)
+        person = _identity(lives, state, track, frame)
+        if person is None:
+            continue
+        if person != track.person:
+            track = _renamed(lives, track, person, used)
+        lives.tracks[i] = track.replace(
+            is_named=track.is_named or _is_final(lives, track, settings),
+            status=CONFIRMED if is_new else track.status,
+        )
 
 
-def _look_of(track: Track, claim: Claim, frame: Frame) -> Histogram | None:
+def _identity(lives: Lives, state: TrackerState, track: Track, frame: Frame) -> int | None:
+    """The number of a track that is not named: of a lost person who has returned, its own, or None = nobody's."""
+    colours = _colours_of(track, lives.claims[track.serial], frame)
+    person = _recognised(lives, track, colours, frame)
+    if person is not None:
+        return person
+    return (
+        _new_or_expected(lives, state, track, colours, frame) if track.status == TENTATIVE else track.person
+    )
+
+
+def _renamed(lives: Lives, track: Track, person: int, used: set[int]) -> Track:
+    """The track of somebody who has been here before, with the number of then."""
+    used.add(person)
+    lives.recognised.append(person)
+    lives.renamed.append(track.person)
+    lives.lost = [p for p in lives.lost if p.person != person]
+    return track.replace(person=person, is_named=True)
+
+
+def _is_final(lives: Lives, track: Track, settings: TrackerSettings) -> bool:
+    """Whether nobody is left whom the track could be, or the time to recognise somebody is over."""
+    waits = settings.reid_s > 0 and bool(lives.lost) and settings.expected_persons is None
+    return not waits or track.hits >= settings.confirm_frames + _MIXED_S * settings.fps
+
+
+def _colours_of(track: Track, claim: Claim, frame: Frame) -> Histogram | None:
     """The colours of a young track, this frame included; None without any."""
     now = None if claim.is_shared or not claim.is_person else frame.appearance(claim.voxels)
     if track.appearance is None or now is None:
@@ -360,7 +403,7 @@ def _can_return(person: LostPerson, track: Track, frame: Frame) -> bool:
     return gap <= 1.0 + _RETURN_M_S * elapsed
 
 
-def _bear(
+def _give_birth(
     lives: Lives,
     state: TrackerState,
     claim: Claim,
@@ -394,7 +437,7 @@ def _bear(
     n_confirmed = len(state.confirmed_ids | {t.person for t in lives.tracks if t.status != TENTATIVE})
     is_room = settings.expected_persons is None or n_confirmed < settings.expected_persons
     if is_at_once and is_room and _is_credible(track, settings):
-        track = track.but(status=CONFIRMED, is_named=True)
+        track = track.replace(status=CONFIRMED, is_named=True)
     lives.tracks.append(start(track, frame, claim))
     lives.claims[serial] = claim
 
@@ -413,14 +456,19 @@ def _merge(lives: Lives, n_frames: int, frame: Frame) -> None:
         is_another = bool(rivals) and settings.keep_identity and _is_another(track, rivals[0])
         is_embraced = is_another and track.is_seen and close <= _EMBRACE_S * settings.fps
         if close <= settings.merge_frames or is_embraced:
-            kept.append(track.but(close=close))
+            kept.append(track.replace(close=close))
             continue
         _end(lives, track, "merged", frame, is_remembered=is_another)
-        best, mine = lives.claims[rivals[0].serial], lives.claims.pop(track.serial)
-        if len(mine.voxels):
-            both = claim_of(frame, np.sort(np.r_[best.voxels, mine.voxels]))
-            lives.claims[rivals[0].serial] = replace(both, is_person=best.is_person, is_new=best.is_new)
+        _hand_over(lives, track, rivals[0], frame)
     lives.tracks = kept
+
+
+def _hand_over(lives: Lives, track: Track, heir: Track, frame: Frame) -> None:
+    """The voxels of a track that has ended become another one's."""
+    best, mine = lives.claims[heir.serial], lives.claims.pop(track.serial)
+    if len(mine.voxels):
+        both = claim_of(frame, np.sort(np.r_[best.voxels, mine.voxels]))
+        lives.claims[heir.serial] = replace(both, is_person=best.is_person, is_new=best.is_new)
 
 
 def _is_another(track: Track, rival: Track) -> bool:
@@ -431,20 +479,19 @@ def _is_another(track: Track, rival: Track) -> bool:
     return alike is not None and alike < _SAME
 
 
-def _look(lives: Lives, n_frames: int, frame: Frame) -> None:
+def _learn_colours(lives: Lives, n_frames: int, frame: Frame) -> None:
     """Learn the colours of those who stand alone, and note who was close to whom."""
-    settings = frame.settings
     places = np.array([t.xyz[:2] for t in lives.tracks]).reshape(-1, 2)
     for i, track in enumerate(lives.tracks):
         claim = lives.claims[track.serial]
-        mixed = max(track.mixed - n_frames, 0)
         gap = np.linalg.norm(places - places[i], axis=1)
         gap[i] = np.inf
         # A person out of sight may come back in the place of another one.
-        is_close = claim.is_shared or (len(gap) > 1 and gap.min() < _MIXED_M) or not claim.is_person
+        is_close = claim.is_shared or gap.min() < _MIXED_M or not claim.is_person
+        mixed = max(track.mixed - n_frames, 0)
         if is_close or (claim.is_new and track.age > 0):
-            mixed = max(1, round(_MIXED_S * settings.fps))
-        track = track.but(mixed=mixed)
+            mixed = max(1, round(_MIXED_S * frame.settings.fps))
+        track = track.replace(mixed=mixed)
         if frame.bins is not None and claim.is_person:
             track = _with_colours(track, claim, frame)
         lives.tracks[i] = track
@@ -463,8 +510,8 @@ def _with_colours(track: Track, claim: Claim, frame: Frame) -> Track:
     if track.histogram is not None:
         histogram = adapt(track.histogram, whole, settings.colour_adaptation)
     if claim.is_shared or (track.mixed > 0 and track.n_appearance >= _MIN_VIEWS):
-        return track.but(histogram=histogram)
+        return track.replace(histogram=histogram)
     n = track.n_appearance + 1
     rate = max(1.0 / n, _SLOW_RATE)
     appearance = look if track.appearance is None else adapt(track.appearance, look, 1.0 - rate)
-    return track.but(histogram=histogram, appearance=appearance, n_appearance=n)
+    return track.replace(histogram=histogram, appearance=appearance, n_appearance=n)

@@ -47,13 +47,13 @@ def predict(track: Track, n_frames: int, settings: TrackerSettings) -> Track:
     step, keep = float(transition[0, 1]), float(transition[1, 1])
     motion = transition.dot(track.motion).dot(transition.T) + noise
     if settings.motion == "none":
-        return track.but(motion=motion, covariance=faded(track, motion[0, 0]))
+        return track.replace(motion=motion, covariance=faded(track, motion[0, 0]))
     shift = step * track.velocity
     if track.misses:
         shift[2] = (
             0.0  # who is out of sight goes on walking, not sinking: half outside the volume centroids drop
         )
-    return track.but(
+    return track.replace(
         xyz=track.xyz + shift,
         velocity=keep * track.velocity,
         motion=motion,
@@ -81,7 +81,7 @@ def observe(track: Track, xyz: Array, covariance: Array, settings: TrackerSettin
     velocity = track.velocity + gain[1] * (xyz - track.xyz)
     if settings.motion == "none":
         velocity = np.zeros(3)
-    return track.but(xyz=xyz, covariance=covariance, velocity=velocity, motion=motion)
+    return track.replace(xyz=xyz, covariance=covariance, velocity=velocity, motion=motion)
 
 
 def bridge_variance(n_before: NDArray[np.int64], n_after: NDArray[np.int64], fps: float) -> Array:

@@ -18,4 +18,4 @@ def start(track: Track, frame: Frame, claim: Claim, *, rng: np.random.Generator)
 
 def estimate(track: Track, others: np.ndarray, frame: Frame, *, rng: np.random.Generator) -> Track:
     """The predicted track: the ellipsoid stands there. CF Eq. 4.4."""
-    return track.but(efficiency=1.0)
+    return track.replace(efficiency=1.0)

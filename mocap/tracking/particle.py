@@ -16,7 +16,7 @@ def start(track: Track, frame: Frame, claim: Claim, *, rng: np.random.Generator)
     """Particles about the position of a new track."""
     n = frame.settings.samples
     noise = rng.normal(size=(n, 3)) * np.array(frame.settings.propagation_std_m)
-    return track.but(samples=track.xyz + noise, weights=np.full(n, 1.0 / n), efficiency=1.0)
+    return track.replace(samples=track.xyz + noise, weights=np.full(n, 1.0 / n), efficiency=1.0)
 
 
 def estimate(track: Track, others: Array, frame: Frame, *, rng: np.random.Generator) -> Track:
@@ -41,12 +41,12 @@ def estimate(track: Track, others: Array, frame: Frame, *, rng: np.random.Genera
     )
     total = float(weights.sum())
     if not total > 0.0 or not raw.any():
-        return track.but(samples=particles, weights=np.full(n, 1.0 / n), efficiency=0.0)
+        return track.replace(samples=particles, weights=np.full(n, 1.0 / n), efficiency=0.0)
     weights = weights / total
     mean = weights @ particles
     centred = particles - mean
     covariance = (weights[:, None] * centred).T @ centred
-    return track.but(
+    return track.replace(
         xyz=mean,
         covariance=covariance,
         samples=particles,

@@ -26,7 +26,7 @@ def start(track: Track, frame: Frame, claim: Claim, *, rng: np.random.Generator)
     pool = surface if len(surface) else claim.voxels
     n = min(frame.settings.samples, len(pool))
     chosen = np.sort(rng.choice(pool, size=n, replace=False))
-    return track.but(
+    return track.replace(
         samples=frame.voxels.centers[chosen], weights=np.full(n, 1.0 / max(n, 1)), efficiency=1.0
     )
 
@@ -44,7 +44,7 @@ def estimate(track: Track, others: Array, frame: Frame, *, rng: np.random.Genera
     settings = frame.settings
     n, side, radius = settings.samples, settings.voxel_size_m, settings.sample_radius
     if not len(track.samples) or not len(frame.voxels):
-        return track.but(efficiency=0.0)
+        return track.replace(efficiency=0.0)
     crop, lower = _crop(track, frame)
     voxel, placed = np.empty((2, n, 3), dtype=np.int64)
     _kernels.systematic_voxels(track.samples, track.weights, float(rng.random()), lower, side, voxel)
@@ -76,8 +76,8 @@ def estimate(track: Track, others: Array, frame: Frame, *, rng: np.random.Genera
         weights,
     )
     if not total > 0.0:
-        return track.but(efficiency=0.0)
-    return track.but(
+        return track.replace(efficiency=0.0)
+    return track.replace(
         xyz=mean,
         covariance=covariance,
         samples=points,

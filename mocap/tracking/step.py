@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mocap.data import Tracks
 from mocap.tracking import motion, naive, particle, sparse
 from mocap.tracking.claims import Claim, Frame, claim_voxels, frame_of
-from mocap.tracking.lifecycle import live_on
+from mocap.tracking.lifecycle import advance_lives
 from mocap.tracking.state import TENTATIVE, Track, TrackerSettings, TrackerState, TrackInfo
 from mocap.tracking.voxels import FrameVoxels
 
@@ -42,7 +42,7 @@ def track_step(
     def start(track: Track, frame: Frame, claim: Claim) -> Track:
         return method.start(track, frame, claim, rng=rng)
 
-    state, lives = live_on(state, predicted, tracks, claims, newborn, n_frames, frame, start)
+    state, lives = advance_lives(state, predicted, tracks, claims, newborn, n_frames, frame, start)
     owned = {t.person: lives.claims[t.serial] for t in state.tracks}
     info = TrackInfo(
         frame=observation.frame,
@@ -94,7 +94,7 @@ def track_clip(
 def slim(tracks: tuple[Track, ...]) -> tuple[Track, ...]:
     """Tracks without samples and colour models, for a history of a long clip."""
     none = np.zeros((0, 3))
-    return tuple(t.but(samples=none, weights=none[:, 0], histogram=None, appearance=None) for t in tracks)
+    return tuple(t.replace(samples=none, weights=none[:, 0], histogram=None, appearance=None) for t in tracks)
 
 
 def tracks_from_history(
@@ -122,12 +122,7 @@ def tracks_from_history(
 
     table: dict[tuple[int, int], tuple[Array, Array, bool]] = {}
     for life in lives.values():
-        confirmed = [i for i, (_, t) in enumerate(life) if t.status != TENTATIVE]
-        if not confirmed:
-            continue
-        if not backdate:
-            life = life[confirmed[0] :]
-        seen = [(frame, t) for frame, t in life if t.is_seen]
+        seen = _sightings(life, backdate=backdate)
         if not seen or len(seen) < min(min_seen, n_frames):
             continue
         person = life[-1][1].person
@@ -135,6 +130,22 @@ def tracks_from_history(
         for frame, xyz, covariance, is_seen in _filled(seen, frames, fps):
             # Of a person who returned before the old track had ended, the old track's sightings stand.
             table.setdefault((frame, person), (xyz, covariance, is_seen))
+    return _tracks_of(table, fps)
+
+
+def _sightings(life: list[tuple[int, Track]], *, backdate: bool) -> list[tuple[int, Track]]:
+    """The frames in which a track was seen as a person; none if it was never confirmed.
+
+    backdate : those before the confirmation belong to it.
+    """
+    confirmed = [i for i, (_, t) in enumerate(life) if t.status != TENTATIVE]
+    if not confirmed:
+        return []
+    return [(frame, t) for frame, t in (life if backdate else life[confirmed[0] :]) if t.is_seen]
+
+
+def _tracks_of(table: dict[tuple[int, int], tuple[Array, Array, bool]], fps: float) -> Tracks:
+    """(frame, person) -> (xyz, covariance, is_seen) as tracks, in the order of frames and persons."""
     keys = sorted(table)
     rows = [table[key] for key in keys]
     index = np.array(keys, dtype=np.int64).reshape(-1, 2)
