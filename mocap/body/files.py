@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body.model import Body, BodyModel
+from mocap.body.model import Body, BodyModel, JointSpec, PartSpec
 from mocap.data.motion import LANDMARKS
 
 Array = NDArray[np.float64]
@@ -69,38 +69,46 @@ def body_toml(model: BodyModel, comment: str = "") -> str:
         lines.append(f"height_m = {_number(model.height_m)}")
     lines += [f"round_ends = {_bool(model.round_ends)}", f"exclusive = {_bool(model.exclusive)}"]
     for joint in model.joint:
-        lines += ["", "[[joint]]", f"name = {_text(joint.name)}"]
-        if joint.parent:
-            lines.append(f"parent = {_text(joint.parent)}")
-        lines.append(f"offset = {_list(joint.offset)}")
-        if joint.translation_speed is not None:
-            lines.append(f"translation_speed = {_list(joint.translation_speed)}")
-        if joint.dofs:
-            lines.append("dofs = [")
-            lines += [
-                f"  {{ name = {_text(d.name)}, axis = {_text(d.axis)}, limits = {_list(d.limits)}, "
-                f"speed = {_number(d.speed)}, circular = {_bool(d.circular)}"
-                + ("" if d.usual_std is None else f", usual_std = {_number(d.usual_std)}")
-                + " },"
-                for d in joint.dofs
-            ]
-            lines.append("]")
+        lines += _joint_lines(joint)
     for part in model.part:
-        lines += ["", "[[part]]", f"name = {_text(part.name)}"]
-        if part.parent:
-            lines.append(f"parent = {_text(part.parent)}")
-        lines += [f"side = {_text(part.side)}", f"variance = {_list(part.variance)}", "cones = ["]
-        lines += [
-            f"  {{ joint = {_text(c.joint)}, from = {_list(c.start)}, to = {_list(c.end)}, radii = {_list(c.radii)} }},"
-            for c in part.cones
-        ]
-        lines.append("]")
+        lines += _part_lines(part)
     lines += ["", "[landmarks]"]
     lines += [
         f"{name} = {{ joint = {_text(mark.joint)}, offset = {_list(mark.offset)} }}"
         for name, mark in model.landmarks.items()
     ]
     return "\n".join(lines) + "\n"
+
+
+def _joint_lines(joint: JointSpec) -> list[str]:
+    lines = ["", "[[joint]]", f"name = {_text(joint.name)}"]
+    if joint.parent:
+        lines.append(f"parent = {_text(joint.parent)}")
+    lines.append(f"offset = {_list(joint.offset)}")
+    if joint.translation_speed is not None:
+        lines.append(f"translation_speed = {_list(joint.translation_speed)}")
+    if not joint.dofs:
+        return lines
+    dofs = [
+        f"  {{ name = {_text(d.name)}, axis = {_text(d.axis)}, limits = {_list(d.limits)}, "
+        f"speed = {_number(d.speed)}, circular = {_bool(d.circular)}"
+        + ("" if d.usual_std is None else f", usual_std = {_number(d.usual_std)}")
+        + " },"
+        for d in joint.dofs
+    ]
+    return [*lines, "dofs = [", *dofs, "]"]
+
+
+def _part_lines(part: PartSpec) -> list[str]:
+    lines = ["", "[[part]]", f"name = {_text(part.name)}"]
+    if part.parent:
+        lines.append(f"parent = {_text(part.parent)}")
+    lines += [f"side = {_text(part.side)}", f"variance = {_list(part.variance)}"]
+    cones = [
+        f"  {{ joint = {_text(c.joint)}, from = {_list(c.start)}, to = {_list(c.end)}, radii = {_list(c.radii)} }},"
+        for c in part.cones
+    ]
+    return [*lines, "cones = [", *cones, "]"]
 
 
 def _fractions(lengths: Array, height_m: float) -> tuple[float, ...]:

@@ -239,16 +239,20 @@ def _mistakes(model: BodyModel) -> Iterator[str]:
     joints = [j.name for j in model.joint]
     for i, joint in enumerate(model.joint):
         yield from _mistakes_of_joint(joint, joints[:i])
-    if not model.joint:
+    if not joints:
         yield "there is no joint"
-    names = [*_ROOT_COLUMNS, *(d.name for j in model.joint for d in j.dofs)]
-    if len(set(names)) != len(names):
+    columns = [*_ROOT_COLUMNS, *(d.name for j in model.joint for d in j.dofs)]
+    if len(set(columns)) != len(columns):
         yield "names of dofs are not unique"
     parts = [p.name for p in model.part]
     for i, part in enumerate(model.part):
         yield from _mistakes_of_part(part, parts[:i], joints)
-    if not 1 <= len(model.part) <= MAX_PARTS:
-        yield f"{len(model.part)} parts; 1 to {MAX_PARTS} are supported"
+    if not 1 <= len(parts) <= MAX_PARTS:
+        yield f"{len(parts)} parts; 1 to {MAX_PARTS} are supported"
+    yield from _mistakes_of_landmarks(model, joints)
+
+
+def _mistakes_of_landmarks(model: BodyModel, joints: Sequence[str]) -> Iterator[str]:
     for name, landmark in model.landmarks.items():
         if landmark.joint not in joints:
             yield f"landmark {name}: unknown joint {landmark.joint}"

@@ -94,29 +94,32 @@ def levels_on(hierarchy: Hierarchy, layout: StateLayout) -> LevelsOf:
     """
     if not hierarchy.levels:
         raise ValueError(f"hierarchy {hierarchy.name!r} has no levels")
-    has = np.zeros(layout.n_columns, dtype=np.bool_)
-    before: set[int] = set()
-    levels = []
+    levels: list[LevelIndices] = []
     for level in hierarchy.levels:
         where = f"hierarchy {hierarchy.name!r}, level {level.name!r}"
-        added = np.array([_index(layout.names, c, "column", where) for c in level.columns], dtype=np.int64)
-        parts = [_index(layout.parts, p, "part", where) for p in level.parts]
-        if not len(added):
-            raise ValueError(f"{where}: adds no column")
-        if len(set(added.tolist())) < len(added) or has[added].any():
-            raise ValueError(f"{where}: a column is added twice")
-        if not parts or len(set(parts)) < len(parts) or not before <= set(parts):
-            raise ValueError(
-                f"{where}: parts must be named once and include those of the level before, got {list(level.parts)}"
-            )
-        before = set(parts)
-        has = has.copy()
-        has[added] = True
-        levels.append(LevelIndices(level.name, added, has, tuple(sorted(parts))))
+        levels.append(_level_on(level, layout, levels[-1] if levels else None, where))
     pinned = np.zeros(layout.n_columns)
     for name, value in hierarchy.pinned.items():
         pinned[_index(layout.names, name, "column", f"hierarchy {hierarchy.name!r}, pinned")] = value
     return LevelsOf(tuple(levels), np.clip(pinned, layout.lower, layout.upper))
+
+
+def _level_on(level: Level, layout: StateLayout, before: LevelIndices | None, where: str) -> LevelIndices:
+    """Indices of one level.  before : the next coarser one.  where : names the level in errors."""
+    added = np.array([_index(layout.names, c, "column", where) for c in level.columns], dtype=np.int64)
+    parts = {_index(layout.parts, p, "part", where) for p in level.parts}
+    has = np.zeros(layout.n_columns, dtype=np.bool_) if before is None else before.has.copy()
+    if not len(added):
+        raise ValueError(f"{where}: adds no column")
+    if len(np.unique(added)) < len(added) or has[added].any():
+        raise ValueError(f"{where}: a column is added twice")
+    known: set[int] = set() if before is None else set(before.parts)
+    if not parts or len(parts) < len(level.parts) or not known <= parts:
+        raise ValueError(
+            f"{where}: parts must be named once and include those of the level before, got {list(level.parts)}"
+        )
+    has[added] = True
+    return LevelIndices(level.name, added, has, tuple(sorted(parts)))
 
 
 def limbs_on(limbs: Sequence[Limb], layout: StateLayout) -> tuple[LimbIndices, ...]:

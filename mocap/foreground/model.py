@@ -79,14 +79,7 @@ def _thin(images: Iterable[Image]) -> list[Image]:
     kept: list[Image] = []
     stride = 1
     for i, image in enumerate(images):
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-            raise ValueError(
-                f"images: expected (H, W, 3) uint8, got {image.shape} {image.dtype} at picture {i}"
-            )
-        if kept and image.shape != kept[0].shape:
-            raise ValueError(
-                f"images: expected shape {kept[0].shape} throughout, got {image.shape} at picture {i}"
-            )
+        _check_picture(image, i, kept[0].shape if kept else None)
         if i % stride:
             continue
         if len(kept) == MAX_SAMPLES:
@@ -98,6 +91,14 @@ def _thin(images: Iterable[Image]) -> list[Image]:
     if not kept:
         raise ValueError("images: expected at least one picture of the scene, got none")
     return kept
+
+
+def _check_picture(image: Image, i: int, shape: tuple[int, ...] | None) -> None:
+    """ValueError for picture i if it is no colour picture, or has another shape than the first one."""
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise ValueError(f"images: expected (H, W, 3) uint8, got {image.shape} {image.dtype} at picture {i}")
+    if shape is not None and image.shape != shape:
+        raise ValueError(f"images: expected shape {shape} throughout, got {image.shape} at picture {i}")
 
 
 def _statistics(samples: list[Image], kind: str) -> Background:

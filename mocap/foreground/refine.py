@@ -31,24 +31,14 @@ def refine_mask(
     Raises ValueError for shapes that do not match. The result does not depend on earlier calls.
     """
     height, width = image.shape[:2]
-    if image.shape != (height, width, 3) or image.dtype != np.uint8:
-        raise ValueError(f"image: expected (H, W, 3) uint8, got {image.shape} {image.dtype}")
-    for name, other in {"prior": prior, "mask": mask}.items():
-        if other is not None and (other.shape != (height, width) or other.dtype != np.bool_):
-            raise ValueError(
-                f"{name}: expected bool of shape {(height, width)}, got {other.dtype} {other.shape}"
-            )
+    _check_shapes(image, prior=prior, mask=mask)
     kept = prior if mask is None else mask
     x, y, w, h = cv2.boundingRect(prior.astype(np.uint8))
     margin = outer_px + _MARGIN_PX
     window = (slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin))
     inside = prior[window].astype(np.uint8)
     if mask is None:
-        classes = np.where(cv2.dilate(inside, _disc(outer_px)) > 0, cv2.GC_PR_BGD, cv2.GC_BGD).astype(
-            np.uint8
-        )
-        classes[inside > 0] = cv2.GC_PR_FGD
-        classes[cv2.erode(inside, _disc(inner_px)) > 0] = cv2.GC_FGD
+        classes = _classes_of_prior(inside, inner_px, outer_px)
     else:
         known = mask[window].astype(np.uint8) & inside
         classes = np.where(inside > 0, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
@@ -63,6 +53,27 @@ def refine_mask(
     out = np.zeros((height, width), dtype=np.bool_)
     out[window] = (classes == cv2.GC_FGD) | (classes == cv2.GC_PR_FGD)
     return out
+
+
+def _check_shapes(image: Image, **masks: Mask | None) -> None:
+    """ValueError for a picture or a mask of the wrong kind."""
+    height, width = image.shape[:2]
+    if image.shape != (height, width, 3) or image.dtype != np.uint8:
+        raise ValueError(f"image: expected (H, W, 3) uint8, got {image.shape} {image.dtype}")
+    for name, other in masks.items():
+        if other is not None and (other.shape != (height, width) or other.dtype != np.bool_):
+            raise ValueError(
+                f"{name}: expected bool of shape {(height, width)}, got {other.dtype} {other.shape}"
+            )
+
+
+def _classes_of_prior(inside: NDArray[np.uint8], inner_px: int, outer_px: int) -> NDArray[np.uint8]:
+    """GrabCut's classes (h, w): sure inside the prior, sure far outside it, and two kinds of doubt between."""
+    near = cv2.dilate(inside, _disc(outer_px)) > 0
+    classes = np.where(near, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
+    classes[inside > 0] = cv2.GC_PR_FGD
+    classes[cv2.erode(inside, _disc(inner_px)) > 0] = cv2.GC_FGD
+    return classes
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

@@ -76,14 +76,7 @@ def triangulate_unlabelled(
         for j in range(i + 1, C)
     ]
     points = np.concatenate([np.zeros((0, 3)), *proposals])
-    confirmed = np.zeros((len(points), C), dtype=np.int64) - 1
-    distance = np.full((len(points), C), np.inf)
-    for c in range(C):
-        if len(detections[c]) and len(points):
-            uv, is_before = _project(P[c], points)
-            d = np.linalg.norm(uv[:, None] - detections[c][None], axis=2)
-            distance[:, c] = np.where(is_before, d.min(axis=1), np.inf)
-            confirmed[:, c] = np.where(distance[:, c] <= max_error_px, d.argmin(axis=1), -1)
+    confirmed, distance = _confirmations(P, detections, points, max_error_px)
     found: list[Array] = []
     n_views, error = [], []
     used = [np.zeros(len(d) + 1, dtype=np.bool_) for d in detections]  # the last one stands for "none"
@@ -113,6 +106,21 @@ def triangulate_unlabelled(
     return Triangulated(
         np.array(found).reshape(-1, 3), np.array(n_views, dtype=np.int64), np.array(error, dtype=np.float64)
     )
+
+
+def _confirmations(
+    P: Array, detections: list[Array], points: Array, max_error_px: float
+) -> tuple[NDArray[np.int64], Array]:
+    """The detection of each view nearest to points (N, 3): its index (N, C), -1 beyond the error, and distance, px."""
+    confirmed = np.zeros((len(points), len(P)), dtype=np.int64) - 1
+    distance = np.full((len(points), len(P)), np.inf)
+    for c, found in enumerate(detections):
+        if len(found) and len(points):
+            uv, is_before = _project(P[c], points)
+            d = np.linalg.norm(uv[:, None] - found[None], axis=2)
+            distance[:, c] = np.where(is_before, d.min(axis=1), np.inf)
+            confirmed[:, c] = np.where(distance[:, c] <= max_error_px, d.argmin(axis=1), -1)
+    return confirmed, distance
 
 
 def _proposals(P_a: Array, P_b: Array, a: Array, b: Array, max_error_px: float) -> Array:
