@@ -180,7 +180,7 @@ def plot_track_map(
     ax.set_aspect("equal")
     title = ""
     if tracks is not None and len(tracks):
-        title = "Seen from above; circle = start, diamond = end, white dots = out of sight"
+        title = "Seen from above; circle = start, diamond = end,\nwhite dots = out of sight"
     finish(ax, title, "x (m)", "y (m)", grid="both", legend=True)
     return png(figure)
 

@@ -303,24 +303,12 @@ def _loads(plan: Footsteps, t: Array) -> Array:
     return np.column_stack([share_left, 1 - share_left])
 
 
-def _foot(
-    figure: Figure, plants: list[Plant], t: Array
-) -> tuple[Array, Array, Array, NDArray[np.bool_], Array]:
-    """Ankle (T, 3), foot rotation (T, 3, 3), toe angle (T,), flat on the floor (T,) and yaw (T,) of one foot."""
-    H = figure.stature_m
-    ankle_h = figure.ankle_height_m
-    heel = np.array([-0.038 * H, 0.0, -ankle_h])
-    ball = figure.offsets[JOINT["left_toe"]]
+def _pitch_knots(plants: list[Plant], swing: Array, push: Array, strike: Array) -> list[tuple[float, float]]:
+    """Moments, s, and pitch of a foot, rad: it strikes with the heel, rolls flat, and pushes off over the ball.
+
+    swing, push, strike : (n - 1,) s in the air, and the angles of leaving and landing, of each step.
+    """
     n = len(plants)
-    swing = np.array([b.start_s - a.end_s for a, b in itertools.pairwise(plants)])
-    move = np.array([np.subtract(b.at, a.at) for a, b in itertools.pairwise(plants)]).reshape(-1, 2)
-    length = np.linalg.norm(move, axis=1)
-    size = np.clip(length / (0.71 * H), 0, 1.1)  # of the step, against a normal stride
-    toes_to = np.array([[np.cos(p.yaw_rad), np.sin(p.yaw_rad)] for p in plants])
-    onward = np.clip(np.sum(move * toes_to[:-1], axis=1) / (0.71 * H), 0, 1.1)
-    inward = np.clip(np.sum(move * toes_to[1:], axis=1) / (0.71 * H), 0, 1.1)
-    push = _PUSH_RAD * np.maximum(onward, 0.12)
-    strike = _STRIKE_RAD * inward
     knots: list[tuple[float, float]] = []
     for i, p in enumerate(plants):
         if i > 0:
@@ -345,6 +333,28 @@ def _foot(
                 (p.end_s + 0.68 * s, -0.25 * strike[i]),
                 (p.end_s + 0.895 * s, -0.95 * strike[i]),
             ]
+    return knots
+
+
+def _foot(
+    figure: Figure, plants: list[Plant], t: Array
+) -> tuple[Array, Array, Array, NDArray[np.bool_], Array]:
+    """Ankle (T, 3), foot rotation (T, 3, 3), toe angle (T,), flat on the floor (T,) and yaw (T,) of one foot."""
+    H = figure.stature_m
+    ankle_h = figure.ankle_height_m
+    heel = np.array([-0.038 * H, 0.0, -ankle_h])
+    ball = figure.offsets[JOINT["left_toe"]]
+    n = len(plants)
+    swing = np.array([b.start_s - a.end_s for a, b in itertools.pairwise(plants)])
+    move = np.array([np.subtract(b.at, a.at) for a, b in itertools.pairwise(plants)]).reshape(-1, 2)
+    length = np.linalg.norm(move, axis=1)
+    size = np.clip(length / (0.71 * H), 0, 1.1)  # of the step, against a normal stride
+    toes_to = np.array([[np.cos(p.yaw_rad), np.sin(p.yaw_rad)] for p in plants])
+    onward = np.clip(np.sum(move * toes_to[:-1], axis=1) / (0.71 * H), 0, 1.1)
+    inward = np.clip(np.sum(move * toes_to[1:], axis=1) / (0.71 * H), 0, 1.1)
+    push = _PUSH_RAD * np.maximum(onward, 0.12)
+    strike = _STRIKE_RAD * inward
+    knots = _pitch_knots(plants, swing, push, strike)
     ankle = np.zeros((len(t), 3))
     yaw = np.zeros(len(t))
     flat = np.zeros(len(t), dtype=bool)
