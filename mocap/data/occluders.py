@@ -1,4 +1,4 @@
-"""What stands still between cameras and people: a depth map per camera, behind which it cannot judge."""
+"""Occluders: a depth map per camera of what stands still before people, behind which the camera cannot judge."""
 
 from __future__ import annotations
 

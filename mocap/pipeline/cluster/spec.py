@@ -1,4 +1,4 @@
-"""What a sweep runs: a TOML file of sessions, presets, settings and seeds, and the cells it stands for."""
+"""Sweep files: TOML with sessions, presets, settings and seeds, and the cells that they stand for."""
 
 from __future__ import annotations
 
