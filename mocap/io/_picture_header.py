@@ -1,4 +1,4 @@
-"""Picture headers: the size of a picture from its first bytes, before decoding: PNG, JPEG, BMP, TIFF, WebP, PGM, PPM."""
+"""Picture headers: the size of a picture from its first bytes: PNG, JPEG, BMP, TIFF, WebP, PGM, PPM."""
 
 from __future__ import annotations
 

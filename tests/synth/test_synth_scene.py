@@ -9,6 +9,7 @@ import pytest
 
 from mocap.errors import MocapError
 from mocap.synth import list_scenes, load_scene, synthesise
+from mocap.synth.scene import SCENES_DIR
 
 GOOD = """
 seed = 1
@@ -36,6 +37,19 @@ def test_every_scene_of_the_project_loads() -> None:
     assert load_scene("demo").rig.n_cameras == 7
     assert load_scene("four_cameras").rig.n_cameras == 4
     assert len(load_scene("two_persons").persons) == 2
+
+
+def test_folders_and_names_of_scenes_agree() -> None:
+    folder_of = {path.stem: path.parent.name for path in SCENES_DIR.rglob("*.toml")}
+    assert len(folder_of) == len(list(SCENES_DIR.rglob("*.toml"))), "a name stands for two scenes"
+    assert set(folder_of.values()) == {"demo", "development", "test", "faults", "meetings"}
+    for name, folder in folder_of.items():
+        if folder in ("demo", "development"):
+            assert not name.endswith(("_test", "_final"))
+        elif folder == "test":
+            assert name.endswith(("_test", "_final"))
+        else:
+            assert name.startswith({"faults": "fault_", "meetings": ("meeting_", "crossing_")}[folder])
 
 
 def test_held_out_scenes_share_no_seed_with_development() -> None:
