@@ -104,6 +104,25 @@ def ranking(claims: Sequence[Line]) -> list[str]:
     return out
 
 
+def failing(claims: Sequence[Line]) -> list[str]:
+    """One line per published order that fails somewhere: in how many cells, of how many; the last line is their sum."""
+    pairs: dict[tuple[str, str], list[Line]] = {}
+    for claim in claims:
+        if claim["verdict"] != "none":
+            pairs.setdefault((claim["better"], claim["worse"]), []).append(claim)
+    names = ["published order", "fails in", "of cells", "decided against", "tables"]
+    out = [_row(names), _rule(len(names))]
+    n_failing = n_against = 0
+    for (better, worse), own in pairs.items():
+        fails = [c for c in own if float(c["ratio"]) >= 1]
+        against = sum(c["verdict"] == "no" for c in fails)
+        if fails:
+            tables = ", ".join(dict.fromkeys(c["table"] for c in fails))
+            out.append(_row([f"{better} < {worse}", str(len(fails)), str(len(own)), str(against), tables]))
+        n_failing, n_against = n_failing + len(fails), n_against + against
+    return [*out, _row(["all", str(n_failing), str(sum(map(len, pairs.values()))), str(n_against), ""])]
+
+
 def runs_of(claims: Sequence[Line]) -> str:
     """How many runs the cells of some claims have: "10", or "6 to 10"."""
     runs = sorted({int(c["runs"]) for c in claims})
@@ -348,7 +367,8 @@ def page() -> str:
     """The whole page."""
     lines = {name: read_csv(RESULTS / f"decomposition_{name}.csv") for name in SCRIPTS}
     claims = [c for name in SCRIPTS for c in read_csv(RESULTS / f"decomposition_{name}_ranking.csv")]
-    out = [HEAD, "## Does the published order hold?", "", *ranking(claims), "", *by_order(claims), ""]
+    out = [HEAD, "## Does the published order hold?", "", *ranking(claims), ""]
+    out += ["Where it does not:", "", *failing(claims), "", *by_order(claims), ""]
     for name in SCRIPTS:
         if not lines[name]:
             continue

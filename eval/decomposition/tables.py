@@ -128,24 +128,28 @@ def run_tables(name: str, tables: Sequence[Table], seeds: Seeds, *, store: Path 
     chosen = [table for table in tables if not seeds.only or table.name in seeds.only]
     cells = [cell for table in chosen for cell in table.cells]
     rows = dict(zip(cells, run_cells(cells, n_workers=seeds.n_workers, path=store), strict=True))
-    lines: dict[str, list[dict[str, str]]] = {}
-    orders: dict[str, list[dict[str, str]]] = {}
-    claims: list[Claim] = []
-    for table in chosen:
-        own = [rows[cell] for cell in dict.fromkeys(table.cells)]
-        lines[table.name] = result_lines(table, own)
-        found = claims_between(
-            table.name, own, cell_fields=table.cell_fields, pairs=table.pairs, name_of=table.name_of
-        )
-        orders[table.name] = [claim_line(claim) for claim in found]
-        claims += found
+    own = {table.name: [rows[cell] for cell in dict.fromkeys(table.cells)] for table in chosen}
+    lines = {table.name: result_lines(table, own[table.name]) for table in chosen}
+    claims = {table.name: _claims_of(table, own[table.name]) for table in chosen}
+    orders = {of: [claim_line(claim) for claim in found] for of, found in claims.items()}
     _write_tables(RESULTS / f"decomposition_{name}.csv", RESULT_FIELDS, tables, lines)
     _write_tables(RESULTS / f"decomposition_{name}_ranking.csv", CLAIM_FIELDS, tables, orders)
+    others = [cell for table in tables if table not in chosen for cell in table.cells]
+    write_cells(name, [*_kept(name, others), *rows.values()], RESULTS)
+    return [claim for found in claims.values() for claim in found]
+
+
+def _claims_of(table: Table, rows: Sequence[Row]) -> list[Claim]:
+    return claims_between(
+        table.name, rows, cell_fields=table.cell_fields, pairs=table.pairs, name_of=table.name_of
+    )
+
+
+def _kept(name: str, cells: Sequence[Cell]) -> list[Row]:
+    """Rows of some cells that an earlier call wrote beside its tables."""
     before = read_rows(RESULTS / f"decomposition_{name}_cells.csv")
-    others = [cell.key() for table in tables if table not in chosen for cell in table.cells]
-    kept = [before[key] for key in map(tuple, map(dict.values, others)) if key in before]
-    write_cells(name, [*kept, *rows.values()], RESULTS)
-    return claims
+    keys = [tuple(cell.key().values()) for cell in cells]
+    return [before[key] for key in keys if key in before]
 
 
 def _write_tables(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,11 +67,19 @@ def next_beta(log_likelihood: Array, target: float, *, beta_max: float = BETA_MA
         low, f_low = high, f_high
         high = min(2.0 * high, beta_max)
         f_high = excess(high)
+    return _regula_falsi(excess, (low, f_low), (high, f_high))
+
+
+def _regula_falsi(
+    function: Callable[[float], float], below: tuple[float, float], above: tuple[float, float]
+) -> float:
+    """Where a falling function is 0 between two points (x, its value), the first positive (Illinois variant)."""
+    (low, f_low), (high, f_high) = below, above
     side = 0
     beta = high
     for _ in range(_MAX_ITERATIONS):
         beta = (low * f_high - high * f_low) / (f_high - f_low)
-        f = excess(beta)
+        f = function(beta)
         if abs(f) < _BETA_TOLERANCE:
             break
         if f > 0:
