@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,6 +26,19 @@ def peak_memory_mb() -> float | None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     # Linux counts kB, macOS bytes.
     return round(peak * (1 if sys.platform == "darwin" else 1024) / _BYTES_PER_MB, 1)
+
+
+def limit_memory(n_bytes: int) -> None:
+    """Let this process map no more than so many bytes; nothing where the system knows no such limit."""
+    try:
+        import resource
+    except ImportError:
+        return
+    _, most = resource.getrlimit(resource.RLIMIT_AS)
+    if most == resource.RLIM_INFINITY or n_bytes < most:
+        # macOS knows the limit and refuses to set it.
+        with suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_AS, (n_bytes, most))
 
 
 class Stopped(BaseException):

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.compare.match import associate_persons
-from mocap.data import LANDMARKS, Motion, VoxelGrid
+from mocap.data import LANDMARKS, Motion
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
+from mocap.io.truth import read_true_voxels
 from mocap.metrics import (
     LimbScores,
     limb_scores,
@@ -52,18 +53,14 @@ def volume_overlap(truth_dir: Path, store: StageStore) -> VolumeScores | None:
     except MocapError:
         return None  # a folder of results without its store: everything but the volume is scored
     grid = stored_grid(store)
-    with np.load(path, allow_pickle=False) as data:
-        nx, ny, nz = (int(n) for n in data["shape"])
-        truth_grid = VoxelGrid(data["origin_m"], (nx, ny, nz), float(data["voxel_size_m"]))
-        offsets, voxels = data["offsets"], data["voxels"]
-    if abs(truth_grid.voxel_size_m - grid.voxel_size_m) > 1e-9:
+    truth = read_true_voxels(path)
+    if abs(truth.grid.voxel_size_m - grid.voxel_size_m) > 1e-9:
         return None
     scores = []
     for frame, arrays in reader:
-        if frame + 1 >= len(offsets):
+        if frame >= len(truth):
             break
-        own = voxels[offsets[frame] : offsets[frame + 1]]
-        on_grid = grid.voxels_of(truth_grid.centers(own))
+        on_grid = grid.voxels_of(truth.grid.centers(truth.at(frame)))
         scores.append(volume_scores(arrays["voxels"].astype(np.int64), on_grid[on_grid >= 0]))
     return sum_volume_scores(scores) if scores else None
 

@@ -6,17 +6,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.files import DOCUMENT_LIMIT_BYTES, read_text
+from mocap.io._child import read_in_child
 from mocap.io.calibration.record import bad
 
 Array = NDArray[np.float64]
 Map = dict[str, Any]
 
-# A matrix is a map with these keys, beside `rows` and `cols` or `sizes`.
-_MATRIX_KEYS = {"dt", "data"}
+_REMEDY = "correct the file or calibrate again"
 
 
 def read_storage(path: Path) -> Map:
@@ -24,32 +24,24 @@ def read_storage(path: Path) -> Map:
 
     Raises MocapError for what is no FileStorage file or no map.
     """
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError) as error:
-        raise bad(path, "not an OpenCV FileStorage file (a YAML one starts with %YAML:1.0)") from error
-    if not storage.isOpened():
-        raise bad(path, "not an OpenCV FileStorage file (a YAML one starts with %YAML:1.0)")
-    try:
-        root = _value(storage.root())
-    except cv2.error as error:
-        raise bad(path, f"a matrix of the file makes no sense: {error.err}") from error
-    finally:
-        storage.release()
+    if not read_text(path, "the calibration", limit=DOCUMENT_LIMIT_BYTES, remedy=_REMEDY).strip():
+        raise bad(path, "the file is empty")
+    values, arrays = read_in_child("storage", path, "the calibration", remedy=_REMEDY)
+    root = _with_arrays(values, arrays)
     if not isinstance(root, dict) or not root:
         raise bad(path, "the file holds no camera")
     return root
 
 
-def _value(node: Any) -> Any:
-    if node.isMap():
-        keys = node.keys()
-        return node.mat() if set(keys) >= _MATRIX_KEYS else {key: _value(node.getNode(key)) for key in keys}
-    if node.isSeq():
-        return [_value(node.at(i)) for i in range(node.size())]
-    if node.isString():
-        return node.string()
-    return None if node.isNone() else node.real()
+def _with_arrays(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    """Values as the child sends them, with their matrices put in."""
+    if isinstance(value, list):
+        return [_with_arrays(v, arrays) for v in value]
+    if not isinstance(value, dict):
+        return value
+    if "$array" in value:
+        return arrays[value["$array"]]
+    return {key: _with_arrays(v, arrays) for key, v in value["$map"].items()}
 
 
 def first_numbers(holder: Map, names: Sequence[str]) -> Array | None:

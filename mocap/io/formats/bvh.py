@@ -200,6 +200,8 @@ class _Hierarchy:
 
     def _channels(self) -> None:
         joint = self._joints[self._stack[-1]]
+        if joint.channels:
+            raise self._words.error(f"CHANNELS of {joint.name} are given twice")
         (count,) = self._words.needed(1)
         # Nine digits are more than any file has words.
         is_count = count.isdecimal() and len(count) < 10

@@ -1,4 +1,4 @@
-"""C3D, the binary marker file of biomechanics laboratories: read and written through ezc3d."""
+"""C3D, the binary marker file of biomechanics laboratories: read and written through ezc3d, read in a child process."""
 
 from __future__ import annotations
 
@@ -13,8 +13,18 @@ from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS, Motion
 from mocap.errors import MissingExtra, MocapError
+from mocap.files import read_head
+from mocap.io._child import read_in_child
 from mocap.io.formats._writing import check_fps, gap_free, replacing
-from mocap.io.formats.table import PoseFile, PoseTable, person_in_name, without_zeros, zero_note
+from mocap.io.formats.table import (
+    MOST,
+    PoseFile,
+    PoseTable,
+    check_places,
+    person_in_name,
+    without_zeros,
+    zero_note,
+)
 from mocap.io.units import AXES
 
 Array = NDArray[np.float64]
@@ -31,74 +41,44 @@ def read_c3d(path: Path) -> PoseFile:
     Needs the extra `export`. Raises MocapError for what is no C3D file or holds no points.
     """
     path = Path(path)
-    point, xyz, residual, first = _content(path)
-    labels: list[str] = []
-    for key in ["LABELS", *(f"LABELS{i}" for i in range(2, 20))]:
-        labels += list(point[key]["value"]) if key in point else []
-    K = min(len(labels), xyz.shape[1])
+    head = read_head(path, 2, "the C3D file")
+    if len(head) < 2 or head[1] != _C3D_KEY:
+        raise MocapError("not a C3D file", path=path, remedy="export the file again")
+    said, arrays = read_in_child("c3d", path, "the C3D file", remedy="export the file again")
+    xyz = arrays["points"][:3].transpose(2, 1, 0)
+    K = min(len(said["labels"]), xyz.shape[1])
     if K == 0:
         raise MocapError("the C3D file holds no named points", path=path, remedy="export points with labels")
-    names = tuple(str(label).rpartition(":")[2].strip() for label in labels[:K])
-    xyz = xyz[:, :K]
-    if residual.size == residual.shape[-1] * residual.shape[-2]:
-        lost = residual.reshape(residual.shape[-2], residual.shape[-1]).T[:, :K] < 0
-        xyz = np.where(lost[:, :, None], np.nan, xyz)
+    names = tuple(label.rpartition(":")[2].strip() for label in said["labels"][:K])
+    xyz = _where_seen(xyz[:, :K], arrays["residuals"])
+    check_places(path, xyz)
     xyz, n_zero = without_zeros(xyz)
-    rate = float(_first(point, "RATE", 0.0))
-    fps = rate if rate > 0 else None
-    screen = str(_first(point, "Y_SCREEN", "+Z")).strip().lower().removeprefix("+")
-    frames = first + np.arange(len(xyz), dtype=np.int64)
+    rate = _number(said["rate"])
+    fps = rate if 0 < rate < MOST else None
+    screen = str(said["up"] or "+Z").strip().lower().removeprefix("+")
+    frames = said["first_frame"] + np.arange(len(xyz), dtype=np.int64)
     time_s = np.asarray(frames / rate if fps is not None else frames, dtype=np.float64)
     return PoseFile(
         path=path,
         format="C3D",
         people=(PoseTable(person_in_name(path), names, frames, time_s, xyz),),
         fps=fps,
-        unit=_UNITS.get(str(_first(point, "UNITS", "")).strip().lower()),
+        unit=_UNITS.get(str(said["units"] or "").strip().lower()),
         up=screen if screen in AXES else "z",
         notes=zero_note(n_zero),
     )
 
 
-def _content(path: Path) -> tuple[Any, Array, Array, int]:
-    """The group POINT, places (T, K, 3), residuals and the number of the first frame of a C3D file."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(2)
-    except OSError as error:
-        raise MocapError(
-            f"the file cannot be read: {error.strerror}", path=path, remedy="check the path"
-        ) from error
-    if len(head) < 2 or head[1] != _C3D_KEY:
-        raise MocapError("not a C3D file", path=path, remedy="export the file again")
-    ezc3d = _ezc3d("reading", path)
-    try:
-        c3d = ezc3d.c3d(str(path))
-        return (
-            c3d["parameters"]["POINT"],
-            np.asarray(c3d["data"]["points"], dtype=np.float64)[:3].transpose(2, 1, 0),
-            np.asarray(c3d["data"]["meta_points"]["residuals"], dtype=np.float64),
-            int(c3d["header"]["points"]["first_frame"]),
-        )
-    except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
-        raise MocapError(
-            f"the C3D file cannot be read: {error}", path=path, remedy="export the file again"
-        ) from error
+def _where_seen(xyz: Array, residuals: Array) -> Array:
+    """Points (T, K, 3) with NaN where the residual is negative, as far as there are residuals."""
+    if residuals.ndim < 2 or residuals.size != residuals.shape[-1] * residuals.shape[-2]:
+        return xyz
+    lost = residuals.reshape(residuals.shape[-2], residuals.shape[-1]).T[:, : xyz.shape[1]] < 0
+    return np.where(lost[:, :, None], np.nan, xyz) if lost.shape == xyz.shape[:2] else xyz
 
 
-def _first(point: Any, key: str, default: Any) -> Any:
-    """The first value of a parameter of the group POINT; `default` where it is not there."""
-    return np.ravel(point[key]["value"])[0] if key in point else default
-
-
-def _ezc3d(what: str, path: Path) -> Any:
-    try:
-        import ezc3d
-    except ImportError as error:
-        raise MissingExtra(
-            f"{what} C3D needs the package ezc3d, which is not installed", "export", path=path
-        ) from error
-    return ezc3d
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else 0.0
 
 
 def write_c3d(path: Path, motion: Motion, fps: float) -> None:
@@ -111,7 +91,12 @@ def write_c3d(path: Path, motion: Motion, fps: float) -> None:
     """
     check_fps(fps)
     path = Path(path)
-    ezc3d = _ezc3d("writing", path)
+    try:
+        import ezc3d
+    except ImportError as error:
+        raise MissingExtra(
+            "writing C3D needs the package ezc3d, which is not installed", "export", path=path
+        ) from error
     if len(motion) == 0:
         raise MocapError(
             f"person {motion.person} has no frames; a C3D file cannot be empty",
