@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -65,14 +66,7 @@ def read_sweep_spec(path: Path | str) -> SweepSpec:
     Raises MocapError naming the key for anything that is not understood, and for sessions that do not exist.
     """
     path = Path(path)
-    document = load_toml(path, "the sweep", remedy="give a TOML file; see docs/cluster.md")
-    for key in document:
-        if key not in _KEYS:
-            raise _bad(path, key, f"is not known; known keys are {', '.join(_KEYS)}")
-    zip_tables = document.get("zip", [])
-    zip_tables = [zip_tables] if isinstance(zip_tables, dict) else zip_tables
-    if not isinstance(zip_tables, list) or not all(isinstance(t, dict) for t in zip_tables):
-        raise _bad(path, "zip", "must be a table [zip], or several as [[zip]]")
+    document = _document(path)
     spec = SweepSpec(
         sessions=tuple(_sessions(path, _words(path, document, "sessions", needed=True))),
         presets=tuple(_preset(path, name) for name in _words(path, document, "presets", default=["default"])),
@@ -84,14 +78,37 @@ def read_sweep_spec(path: Path | str) -> SweepSpec:
         },
         zipped=tuple(
             {key: _values(path, key, v, is_grid=False) for key, v in _flat(path, "zip", table).items()}
-            for table in zip_tables
-            if table
+            for table in _zip_tables(path, document)
         ),
         frames=_frames(path, document.get("frames")),
         scores=tuple(_words(path, document, "scores", default=[])),
         sample=_count(path, document, "sample", None, 1),
         sample_seed=_count(path, document, "sample_seed", 0, 0) or 0,
     )
+    _check_settings(path, spec)
+    return spec
+
+
+def _document(path: Path) -> dict[str, Any]:
+    """The TOML file with known keys alone."""
+    document = load_toml(path, "the sweep", remedy="give a TOML file; see docs/cluster.md")
+    for key in document:
+        if key not in _KEYS:
+            raise _bad(path, key, f"is not known; known keys are {', '.join(_KEYS)}")
+    return document
+
+
+def _zip_tables(path: Path, document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The tables [zip] or [[zip]] that hold anything."""
+    tables = document.get("zip", [])
+    tables = [tables] if isinstance(tables, dict) else tables
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+        raise _bad(path, "zip", "must be a table [zip], or several as [[zip]]")
+    return [table for table in tables if table]
+
+
+def _check_settings(path: Path, spec: SweepSpec) -> None:
+    """MocapError for zipped lists of different lengths, and for keys that are given twice or are no settings."""
     for group in spec.zipped:
         lengths = {key: len(values) for key, values in group.items()}
         if len(set(lengths.values())) > 1:
@@ -102,7 +119,6 @@ def read_sweep_spec(path: Path | str) -> SweepSpec:
             raise _bad(path, key, "is given twice, in [set], [grid] or [zip]")
         if "." not in key and key != "observation":
             raise _bad(path, key, 'is no setting; write "section.key" = ...')
-    return spec
 
 
 def plan_cells(
@@ -118,8 +134,7 @@ def plan_cells(
     ]
     for group in spec.zipped:
         axes.append([dict(zip(group, row, strict=True)) for row in zip(*group.values(), strict=True)])
-    sizes = [len(spec.sessions), len(spec.presets), *(len(axis) for axis in axes), len(spec.seeds)]
-    n = int(np.prod(np.array(sizes, dtype=object)))
+    n = math.prod([len(spec.sessions), len(spec.presets), *map(len, axes), len(spec.seeds)])
     if n > MAX_CELLS:
         raise MocapError(f"the sweep has {n} cells, more than {MAX_CELLS}", remedy="split it into several")
     wanted = sample if sample is not None else spec.sample
@@ -172,23 +187,28 @@ def _product(
 def _sessions(path: Path, patterns: Sequence[str]) -> Iterator[Path]:
     found: set[Path] = set()
     for pattern in patterns:
-        base = Path(pattern) if Path(pattern).is_absolute() else path.parent / pattern
-        if any(c in pattern for c in "*?["):
-            anchor = Path(base.anchor) if base.is_absolute() else Path()
-            matches = sorted(p for p in anchor.glob(str(base.relative_to(base.anchor))) if p.is_dir())
-        else:
-            matches = [base] if base.is_dir() else []
-        if not matches:
-            raise MocapError(
-                f"the sweep names a session that is not there: {pattern}",
-                path=path,
-                remedy="paths are relative to the TOML file",
-            )
-        for match in matches:
+        for match in _matches(path, pattern):
             resolved = match.resolve()
             if resolved not in found:
                 found.add(resolved)
                 yield resolved
+
+
+def _matches(path: Path, pattern: str) -> list[Path]:
+    """The folders that a pattern of the file at `path` names, at least one."""
+    base = Path(pattern) if Path(pattern).is_absolute() else path.parent / pattern
+    if any(c in pattern for c in "*?["):
+        anchor = Path(base.anchor) if base.is_absolute() else Path()
+        matches = sorted(p for p in anchor.glob(str(base.relative_to(base.anchor))) if p.is_dir())
+    else:
+        matches = [base] if base.is_dir() else []
+    if not matches:
+        raise MocapError(
+            f"the sweep names a session that is not there: {pattern}",
+            path=path,
+            remedy="paths are relative to the TOML file",
+        )
+    return matches
 
 
 def _preset(path: Path, name: str) -> str:
@@ -211,13 +231,17 @@ def _words(
     if value is None and needed:
         raise _bad(path, key, 'is missing; write sessions = ["FOLDER", ...]')
     value = [value] if isinstance(value, str) else value
-    if not isinstance(value, list) or not all(isinstance(v, str) and v for v in value):
+    if not _is_list_of_words(value):
         raise _bad(path, key, "must be a list of strings")
     if len(set(value)) < len(value):
         raise _bad(path, key, "names something twice")
     if not value and default != []:
         raise _bad(path, key, "must not be empty")
     return value
+
+
+def _is_list_of_words(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(v, str) and v for v in value)
 
 
 def _seeds(path: Path, document: Mapping[str, Any]) -> tuple[int, ...]:

@@ -42,17 +42,18 @@ def score_names(rows: Sequence[Row], wanted: Sequence[str] = ()) -> list[str]:
 
     Raises MocapError for a wanted score that no scored row has.
     """
-    found: dict[str, None] = {}
-    for row in rows:
-        for name, value in row.scores.items():
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                found.setdefault(name)
-    unknown = [name for name in wanted if name not in found and any(row.scores for row in rows)]
-    if unknown and not any(name in row.scores for row in rows for name in unknown):
+    found = list(dict.fromkeys(name for row in rows for name, v in row.scores.items() if _is_number(v)))
+    known = {name for row in rows for name in row.scores}
+    unknown = [name for name in wanted if known and name not in found]
+    if unknown and known.isdisjoint(unknown):
         raise MocapError(
             f"there is no score named {unknown[0]!r}", remedy=f"scores of this sweep: {', '.join(found)}"
         )
-    return list(wanted) if wanted else list(found)
+    return list(wanted) or found
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def write_tables(
@@ -99,15 +100,19 @@ def summarise(rows: Sequence[Row], groups: Sequence[str], names: Sequence[str]) 
         line["n_failed"] = sum(not row.outcome.is_done for row in members)
         for name in names:
             values = [v for row in members if (v := row.scores.get(name)) is not None]
-            mean = math.fsum(values) / len(values) if values else None
-            line[name] = mean
-            line[f"{name}_sd"] = (
-                math.sqrt(math.fsum((v - mean) ** 2 for v in values) / (len(values) - 1))
-                if mean is not None and len(values) > 1
-                else None
-            )
+            line[name], line[f"{name}_sd"] = _mean_and_deviation(values)
         summary.append(line)
     return summary
+
+
+def _mean_and_deviation(values: Sequence[float]) -> tuple[float | None, float | None]:
+    """Of the values there are; the deviation needs two."""
+    if not values:
+        return None, None
+    mean = math.fsum(values) / len(values)
+    if len(values) == 1:
+        return mean, None
+    return mean, math.sqrt(math.fsum((v - mean) ** 2 for v in values) / (len(values) - 1))
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -133,17 +138,19 @@ def plain_table(rows: Sequence[Mapping[str, Any]], n_scores: int = 6) -> str:
     """A table for the terminal, with the scores that are looked at first."""
     if not rows:
         return ""
-    names = [name for name in dict.fromkeys(n for row in rows for n in row) if not name.endswith("_sd")]
-    # What a row is comes first; its scores begin behind the counts.
-    at = max(
-        (names.index(name) + 1 for name in ("n_failed", "n_persons") if name in names), default=len(names)
-    )
-    first = [name for name in names[at:] if name in _FIRST_SCORES]
-    others = [name for name in names[at:] if name not in _FIRST_SCORES]
-    names = names[:at] + (first + others)[:n_scores]
+    names = _terminal_columns(rows, n_scores)
     cells = [names] + [[_short(row.get(name)) for name in names] for row in rows]
     widths = [max(len(line[i]) for line in cells) for i in range(len(names))]
     return "\n".join("  ".join(t.rjust(w) for t, w in zip(line, widths, strict=True)) for line in cells)
+
+
+def _terminal_columns(rows: Sequence[Mapping[str, Any]], n_scores: int) -> list[str]:
+    """What a row is, and the scores that are looked at first; they begin behind the counts."""
+    names = [name for name in dict.fromkeys(n for row in rows for n in row) if not name.endswith("_sd")]
+    counts = [names.index(name) + 1 for name in ("n_failed", "n_persons") if name in names]
+    at = max(counts, default=len(names))
+    scores = sorted(names[at:], key=lambda name: name not in _FIRST_SCORES)
+    return names[:at] + scores[:n_scores]
 
 
 def page(
