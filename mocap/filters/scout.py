@@ -15,6 +15,7 @@ from mocap.filters.weights import normalise_log_weights
 
 Array = NDArray[np.float64]
 Bonus = Callable[[Array, list[int]], Array]
+Value = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -76,56 +77,94 @@ def scout_limbs(
         and len(_bounded_columns(layout, limb))
     ]
 
-    def judge(held: Array, limb: list[int]) -> Callable[[Array], Array]:
+    def judge(held: Array, limb: list[int]) -> Value:
         likelihood = limb_log_likelihood(problem, held, limb)
         return likelihood if bonus is None else lambda x: likelihood(x) + bonus(x, limb)
 
-    screened = []
-    for limb in limbs:
-        columns = _bounded_columns(layout, limb)
-        coarse = problem if isinstance(problem, HeldBodyProblem) else None
-        n_drawn = settings.n_samples * (1 if coarse is None else settings.oversampling)
-        particles = np.tile(state, (n_drawn, 1))
-        low, high = layout.lower[columns], layout.upper[columns]
-        particles[:, columns] = low + rng.random((n_drawn, len(columns))) * (high - low)
-        if coarse is not None:
-            in_data = coarse.limb_in_data(particles, limb)
-            particles = particles[np.argsort(-in_data, kind="stable")[: settings.n_samples]]
-        value_of = judge(state, limb)
-        value = value_of(particles)
-        screened.append((float(value.max() - value_of(state[None])[0]), limb, particles, value))
-    screened.sort(key=lambda entry: -entry[0])
-
+    screened = [_drawn(problem, state, limb, settings, judge(state, limb), rng=rng) for limb in limbs]
+    screened.sort(key=lambda drawn: -drawn.gain)
     tried, accepted = [], []
     alternatives: list[Array] = []
     best = state
-    for _, limb, particles, value in screened[: settings.max_limbs]:
-        name = layout.parts[limb[0]]
+    for drawn in screened[: settings.max_limbs]:
+        name = layout.parts[drawn.limb[0]]
         tried.append(name)
-        columns = _bounded_columns(layout, limb)
-        value_of = judge(best, limb)
+        value_of = judge(best, drawn.limb)
         if best is not state:
-            # What an earlier limb has found holds for this one too.
-            particles = np.where(np.isin(np.arange(layout.n_columns), columns), particles, best)
-            value = value_of(particles)
-        seen, seen_value = [particles], [value]
-        std = np.zeros(layout.n_columns)
-        for scale in layer_scales(settings.n_layers, 0.5):
-            weights, _ = normalise_log_weights(next_beta(value, 0.3) * value)
-            std[columns] = settings.std_rad * scale
-            particles = particles[systematic(weights, settings.n_particles, rng=rng)]
-            particles = problem.propagate(particles, std, rng=rng)
-            value = value_of(particles)
-            seen.append(particles)
-            seen_value.append(value)
-        every, every_value = np.concatenate(seen), np.concatenate(seen_value)
+            drawn = _held(layout, drawn, best, value_of)
+        every, value = _closed_in(problem, drawn, settings, value_of, rng=rng)
         if settings.n_alternatives:
-            alternatives += _distinct(every, every_value, columns, settings)
-        if every_value.max() > value_of(best[None])[0] + settings.margin:
-            best = every[every_value.argmax()].copy()
+            alternatives += _distinct(every, value, _bounded_columns(layout, drawn.limb), settings)
+        if value.max() > value_of(best[None])[0] + settings.margin:
+            best = every[value.argmax()].copy()
             accepted.append(name)
     others = np.stack(alternatives) if alternatives else state[None][:0]
     return best, ScoutInfo(tuple(tried), tuple(accepted), others)
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """Poses of one limb drawn over its whole range.  particles : (N, D).  value : (N,) nats.  gain : the best one's."""
+
+    limb: list[int]
+    particles: Array
+    value: Array
+    gain: float = 0.0
+
+
+def _drawn(
+    problem: ArticulatedProblem,
+    state: Array,
+    limb: list[int],
+    settings: ScoutSettings,
+    value_of: Value,
+    *,
+    rng: np.random.Generator,
+) -> _Drawn:
+    """A limb of a state (D,) drawn anew; where the problem can say cheaply which draws lie in the data, the best of
+    more draws."""
+    layout, columns = problem.layout, _bounded_columns(problem.layout, limb)
+    coarse = problem if isinstance(problem, HeldBodyProblem) else None
+    n_drawn = settings.n_samples * (1 if coarse is None else settings.oversampling)
+    particles = np.tile(state, (n_drawn, 1))
+    low, high = layout.lower[columns], layout.upper[columns]
+    particles[:, columns] = low + rng.random((n_drawn, len(columns))) * (high - low)
+    if coarse is not None:
+        in_data = coarse.limb_in_data(particles, limb)
+        particles = particles[np.argsort(-in_data, kind="stable")[: settings.n_samples]]
+    value = value_of(particles)
+    return _Drawn(limb, particles, value, float(value.max() - value_of(state[None])[0]))
+
+
+def _held(layout: StateLayout, drawn: _Drawn, best: Array, value_of: Value) -> _Drawn:
+    """The same draws on another state (D,): what an earlier limb has found holds for this one too."""
+    is_own = np.isin(np.arange(layout.n_columns), _bounded_columns(layout, drawn.limb))
+    particles = np.where(is_own, drawn.particles, best)
+    return _Drawn(drawn.limb, particles, value_of(particles), drawn.gain)
+
+
+def _closed_in(
+    problem: ArticulatedProblem,
+    drawn: _Drawn,
+    settings: ScoutSettings,
+    value_of: Value,
+    *,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """All particles (M, D) of a few layers with falling noise around the draws that fit, and their values (M,)."""
+    columns = _bounded_columns(problem.layout, drawn.limb)
+    particles, value = drawn.particles, drawn.value
+    seen, seen_value = [particles], [value]
+    std = np.zeros(problem.layout.n_columns)
+    for scale in layer_scales(settings.n_layers, 0.5):
+        weights, _ = normalise_log_weights(next_beta(value, 0.3) * value)
+        std[columns] = settings.std_rad * scale
+        particles = particles[systematic(weights, settings.n_particles, rng=rng)]
+        particles = problem.propagate(particles, std, rng=rng)
+        value = value_of(particles)
+        seen.append(particles)
+        seen_value.append(value)
+    return np.concatenate(seen), np.concatenate(seen_value)
 
 
 def limb_log_likelihood(

@@ -33,6 +33,10 @@ from mocap.rng import rng_for
 Array = NDArray[np.float64]
 
 PERSON = 1
+_FACING_OPEN = (
+    f"person {PERSON}: it is not clear which way the person faces (two poses explain the detections almost "
+    "equally well); left and right may be exchanged"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,18 +236,18 @@ def _first_pose(
     _, start, path = best
     state = path.states[0]
     nearest = int(np.argmin([np.abs(tools.difference(f.state, state)).sum() for f in start.fits]))
-    warnings: tuple[str, ...] = ()
-    top = path.ends[0]
-    cosine, clear = numbers.facing_cosine, numbers.clear_nats
-    if any(
-        not _faces_alike(tools.body, top.state, other.state, cosine) and other.score < top.score + clear
-        for other in path.ends[1:]
-    ):
-        warnings = (
-            f"person {PERSON}: it is not clear which way the person faces (two poses explain the detections almost "
-            "equally well); left and right may be exchanged",
-        )
+    warnings = (_FACING_OPEN,) if _is_facing_open(tools.body, path, numbers) else ()
     return _First(start.frame, state, start.labels[nearest], warnings)
+
+
+def _is_facing_open(body: Body, path: BeamPath, numbers: MarkerStartSettings) -> bool:
+    """Whether a pose that faces another way explains the detections almost as well as the best one."""
+    top = path.ends[0]
+    return any(
+        not _faces_alike(body, top.state, other.state, numbers.facing_cosine)
+        and other.score < top.score + numbers.clear_nats
+        for other in path.ends[1:]
+    )
 
 
 def _start_frames(tools: MarkerTools, frames: range, points_of: PointsOf) -> list[tuple[int, Array]]:

@@ -20,6 +20,15 @@ from mocap.io.store import StageStore
 from mocap.pose.result import PersonPoses
 
 PRODUCT = "pose"
+# Array of the product -> field of PersonPoses, one row per frame.
+_COLUMNS = {
+    "state": "states",
+    "landmarks": "landmarks",
+    "covariance": "landmark_covariance",
+    "observed": "observed",
+    "log_likelihood": "log_likelihood",
+    "ess_share": "ess_share",
+}
 
 
 def store_poses(store: StageStore, key: str, body_model: str, results: list[PersonPoses]) -> None:
@@ -43,16 +52,10 @@ def store_poses(store: StageStore, key: str, body_model: str, results: list[Pers
     with store.writer(PRODUCT, key, attrs) as out:
         for frame in rows:
             present = [(r, int(np.searchsorted(r.frames, frame))) for r in results if frame in r.frames]
-            out.append(
-                frame,
-                person=np.array([r.person for r, _ in present], dtype=np.int64),
-                state=np.array([r.states[i] for r, i in present]),
-                landmarks=np.array([r.landmarks[i] for r, i in present]),
-                covariance=np.array([r.landmark_covariance[i] for r, i in present]),
-                observed=np.array([r.observed[i] for r, i in present]),
-                log_likelihood=np.array([r.log_likelihood[i] for r, i in present]),
-                ess_share=np.array([r.ess_share[i] for r, i in present]),
-            )
+            columns = {
+                name: np.array([getattr(r, field)[i] for r, i in present]) for name, field in _COLUMNS.items()
+            }
+            out.append(frame, person=np.array([r.person for r, _ in present], dtype=np.int64), **columns)
 
 
 def body_files(store: StageStore, poses: Sequence[PersonPoses]) -> dict[str, str]:
