@@ -58,11 +58,9 @@ def world_warning(scores: Mapping[str, Any]) -> str | None:
 
 def lag_warning(pairs: Sequence[Pair], fps: float | None, options: CompareOptions) -> str | None:
     """A warning when the estimate, shifted by some frames, lies much closer to the truth."""
-    n = max((len(p.frames) for p in pairs), default=0)
-    shifts = [k for k in range(-_MAX_LAG, _MAX_LAG + 1) if abs(k) < n // 2]
-    if not shifts:
+    errors = _errors_at_shifts(pairs)
+    if not errors:
         return None
-    errors = {k: _error_at_shift(pairs, k) for k in shifts}
     best = min(errors, key=lambda k: (errors[k], abs(k)))
     now = errors[0]
     if best == 0 or not np.isfinite(now) or errors[best] > min(_LAG_GAIN * now, now - _LAG_GAIN_MM):
@@ -74,6 +72,13 @@ def lag_warning(pairs: Sequence[Pair], fps: float | None, options: CompareOption
         f"shifted by {best:+d} frames the estimate lies {errors[best]:.0f} mm from the truth instead of {now:.0f} mm: "
         f"it lags behind or runs ahead, or the two count frames differently. Remedy: if they do, {option}"
     )
+
+
+def _errors_at_shifts(pairs: Sequence[Pair]) -> dict[int, float]:
+    """Shift of the estimate in frames -> mean error, mm; at most half of the clip either way."""
+    n = max((len(p.frames) for p in pairs), default=0)
+    reach = min(_MAX_LAG, n // 2 - 1)
+    return {k: _error_at_shift(pairs, k) for k in range(-reach, reach + 1)} if reach >= 0 else {}
 
 
 def _error_at_shift(pairs: Sequence[Pair], shift: int) -> float:

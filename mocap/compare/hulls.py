@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.compare.match import associate_persons
-from mocap.data import LANDMARKS, Motion
+from mocap.data import LANDMARKS, Motion, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.io.truth import read_true_voxels
@@ -23,6 +23,8 @@ from mocap.metrics import (
 from mocap.metrics.volume import VolumeScores
 from mocap.products.hulls import stored_grid
 
+Array = NDArray[np.float64]
+
 # Ends of a limb -> the landmark that tells whether the filter saw it: the one at the joint that moves it, or beyond.
 LIMBS: dict[tuple[str, str], str] = {
     (f"{side}_{start}", f"{side}_{end}"): f"{side}_{judge}"
@@ -34,10 +36,12 @@ LIMBS: dict[tuple[str, str], str] = {
         ("knee", "ankle", "ankle"),
     )
 }
+_CHAINS = [[LANDMARKS.index(n) for n in ends] for ends in LIMBS]
+_JUDGES = [LANDMARKS.index(n) for n in LIMBS.values()]
 _LOST, _PRESENT = 0.3, 0.7  # share of the true bone in the hull
 
 # (true landmarks (15, 3) m, whether the estimate says that it observed each (15,))
-_Judged = tuple[NDArray[np.float64], NDArray[np.bool_]]
+_Judged = tuple[Array, NDArray[np.bool_]]
 
 
 def volume_overlap(truth_dir: Path, store: StageStore) -> VolumeScores | None:
@@ -85,17 +89,20 @@ def lost_limbs(
         return None
     grid = stored_grid(store)
     judged = _judged_by_frame(estimate, truth, frames)
-    chains = [[LANDMARKS.index(n) for n in ends] for ends in LIMBS]
-    judges = [LANDMARKS.index(n) for n in LIMBS.values()]
-    shares, said = [], []
-    for frame, arrays in reader:
-        for landmarks, observed in judged.get(frame, ()):
-            shares.append([share_in_hull(landmarks[c], arrays["voxels"], grid) for c in chains])
-            said.append(~observed[judges])
-    if not shares:
+    rows = [
+        (_shares_in_hull(landmarks, arrays["voxels"], grid), ~observed[_JUDGES])
+        for frame, arrays in reader
+        for landmarks, observed in judged.get(frame, ())
+    ]
+    if not rows:
         return None
-    share = np.array(shares)
-    return limb_scores(share < _LOST, np.array(said), (share < _LOST) | (share > _PRESENT))
+    share = np.array([shares for shares, _ in rows])
+    said = np.array([said for _, said in rows])
+    return limb_scores(share < _LOST, said, (share < _LOST) | (share > _PRESENT))
+
+
+def _shares_in_hull(landmarks: Array, voxels: NDArray[np.integer], grid: VoxelGrid) -> list[float]:
+    return [share_in_hull(landmarks[chain], voxels, grid) for chain in _CHAINS]
 
 
 def _judged_by_frame(

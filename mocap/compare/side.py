@@ -51,6 +51,11 @@ class Side:
         m = LANDMARKS.index(landmark)
         return any(bool(np.isfinite(motion.landmarks[:, m]).any()) for motion in self.motions)
 
+    @property
+    def known_landmarks(self) -> set[str]:
+        """Landmarks of the file that are known at all."""
+        return {n for n in self.reading.landmarks if self.knows(n)}
+
     def with_motions(self, motions: Sequence[Motion]) -> Side:
         """The same side with other motions."""
         return replace(self, reading=replace(self.reading, motions=tuple(motions)))
@@ -134,14 +139,14 @@ def common_landmarks(estimate: Side, truth: Side) -> tuple[Side, Side, list[str]
 
     Raises MocapError when they have no landmark in common.
     """
-    known = [{n for n in side.reading.landmarks if side.knows(n)} for side in (estimate, truth)]
+    known, true_known = estimate.known_landmarks, truth.known_landmarks
     if not estimate.motions or not truth.motions:
         return estimate, truth, []
-    common = known[0] & known[1]
+    common = known & true_known
     if not common:
         raise MocapError(
-            f"estimate and truth have no landmark in common: {', '.join(sorted(known[0])) or 'none'} against "
-            f"{', '.join(sorted(known[1])) or 'none'}",
+            f"estimate and truth have no landmark in common: {', '.join(sorted(known)) or 'none'} against "
+            f"{', '.join(sorted(true_known)) or 'none'}",
             remedy="say with --map FILE which points are which landmarks",
         )
     left_out = [n for n in LANDMARKS if n not in common]

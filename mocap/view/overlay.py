@@ -204,27 +204,37 @@ def draw_skeleton(
     uv = _drawable(uv)
     known = _is_known(uv)
     stroke = _stroke(out)
-    bones = [(LANDMARKS.index(a), LANDMARKS.index(b)) for a, b in BONES]
-    bones = sorted((ab for ab in bones if known[list(ab)].all()), key=lambda ab: -depth[list(ab)].mean())
-    for a, b in bones:
-        tint = colour or SIDE_COLOURS[side_of_landmark(LANDMARKS[b])]
+    tints = [colour or SIDE_COLOURS[side_of_landmark(name)] for name in LANDMARKS]
+    for a, b in _known_bones(known, depth):
         ends = _fixed_point(uv[[a, b]])
         width = 2 * stroke if seen[a] and seen[b] else stroke
         _line(out, ends, _DARK, width + 2)
-        _line(out, ends, tint, width)
-    radius = (2.2 + stroke) * 2**_SHIFT
+        _line(out, ends, tints[b], width)
     for j in np.flatnonzero(known):
-        tint = colour or SIDE_COLOURS[side_of_landmark(LANDMARKS[j])]
-        at = tuple(int(x) for x in _fixed_point(uv[j]))
-        cv2.circle(out, at, int(radius + 2**_SHIFT), _DARK, -1, cv2.LINE_AA, _SHIFT)
-        if seen[j]:
-            cv2.circle(out, at, int(radius), tint, -1, cv2.LINE_AA, _SHIFT)
-        else:
-            cv2.circle(out, at, int(radius), tint, stroke, cv2.LINE_AA, _SHIFT)
-    if label and known.any():
-        top = int(np.flatnonzero(known)[np.argmin(uv[known, 1])])
-        return draw_label(out, label, (float(uv[top, 0]), float(uv[top, 1]) - 12.0 * stroke), centred=True)
-    return out
+        _joint(out, uv[j], tints[j], is_hollow=not seen[j])
+    return _labelled_above(out, label, uv[known])
+
+
+def _labelled_above(image: Image, label: str, uv: Array) -> Image:
+    """The picture with a label above the highest of the points (n, 2) px; as it is without points."""
+    if not label or not len(uv):
+        return image
+    u, v = uv[np.argmin(uv[:, 1])]
+    return draw_label(image, label, (float(u), float(v) - 12.0 * _stroke(image)), centred=True)
+
+
+def _known_bones(known: Mask, depth: Array) -> list[tuple[int, int]]:
+    """Bones with both ends known, the farthest first."""
+    bones = [(LANDMARKS.index(a), LANDMARKS.index(b)) for a, b in BONES]
+    return sorted((ab for ab in bones if known[list(ab)].all()), key=lambda ab: -depth[list(ab)].mean())
+
+
+def _joint(out: Image, uv: Array, tint: Colour, *, is_hollow: bool) -> None:
+    stroke = _stroke(out)
+    radius = (2.2 + stroke) * 2**_SHIFT
+    at = tuple(int(x) for x in _fixed_point(uv))
+    cv2.circle(out, at, int(radius + 2**_SHIFT), _DARK, -1, cv2.LINE_AA, _SHIFT)
+    cv2.circle(out, at, int(radius), tint, stroke if is_hollow else -1, cv2.LINE_AA, _SHIFT)
 
 
 def draw_label(
@@ -351,25 +361,31 @@ def contact_sheet(
         return np.full((2 * gap + 1, width, 3), _DARK, dtype=np.uint8)
     n_columns = min(n_columns, len(images))
     cell = (width - gap * (n_columns + 1)) // n_columns
-    tiles = []
-    for i, image in enumerate(images):
-        h, w = image.shape[:2]
-        size = (cell, max(1, round(h * cell / w)))
-        method = cv2.INTER_AREA if cell < w else cv2.INTER_CUBIC
-        tile = np.asarray(cv2.resize(_copy(image), size, interpolation=method), dtype=np.uint8)
-        if labels:
-            tile = draw_label(tile, labels[i], (6.0, 0.0))
-        tiles.append(tile)
+    tiles = [_tile(image, cell, labels[i] if labels else "") for i, image in enumerate(images)]
+    return _in_rows(tiles, n_columns, width, gap)
+
+
+def _in_rows(tiles: Sequence[Image], n_columns: int, width: int, gap: int) -> Image:
+    """Tiles of one width on a dark ground, rows as high as their highest tile."""
     rows = [tiles[i : i + n_columns] for i in range(0, len(tiles), n_columns)]
     heights = [max(tile.shape[0] for tile in row) for row in rows]
     sheet = np.full((sum(heights) + gap * (len(rows) + 1), width, 3), _DARK, dtype=np.uint8)
     y = gap
     for row, height in zip(rows, heights, strict=True):
         for column, tile in enumerate(row):
-            x = gap + column * (cell + gap)
-            sheet[y : y + tile.shape[0], x : x + cell] = tile
+            x = gap + column * (tile.shape[1] + gap)
+            sheet[y : y + tile.shape[0], x : x + tile.shape[1]] = tile
         y += height + gap
     return sheet
+
+
+def _tile(image: Image, width: int, label: str) -> Image:
+    """An image scaled to a column, with its label."""
+    h, w = image.shape[:2]
+    size = (width, max(1, round(h * width / w)))
+    method = cv2.INTER_AREA if width < w else cv2.INTER_CUBIC
+    tile = np.asarray(cv2.resize(_copy(image), size, interpolation=method), dtype=np.uint8)
+    return draw_label(tile, label, (6.0, 0.0)) if label else tile
 
 
 def _copy(image: Image, camera: Camera | None = None) -> Image:

@@ -149,27 +149,35 @@ def report_html(data: ReportData, *, max_bytes: int = MAX_BYTES) -> str:
 
 def verdict(data: ReportData) -> tuple[str, ...]:
     """What was found, as plain sentences, the most important first."""
-    said = []
+    sentences = []
     if data.status != "complete":
-        said.append("The run did not finish: what follows shows only what was done until it stopped.")
+        sentences.append("The run did not finish: what follows shows only what was done until it stopped.")
     if data.n_persons is not None:
-        who = {0: "No person was found", 1: "One person was found"}.get(
-            data.n_persons, f"{data.n_persons} persons were found"
-        )
-        where = [f"in {data.n_frames} frame{'s' * (data.n_frames != 1)}"] if data.n_frames is not None else []
-        if data.n_cameras is not None:
-            where.append(f"of {data.n_cameras} camera{'s' * (data.n_cameras != 1)}")
-        if data.fps and data.n_frames and data.n_frames > 1:
-            where.append(f"({data.n_frames / data.fps:.1f} s at {data.fps:g} frames/s)")
-        said.append(" ".join([who, *where]) + ".")
-    said += verdict_on_scores(data.scores)
+        sentences.append(" ".join([_persons_text(data.n_persons), *_clip_words(data)]) + ".")
+    sentences += verdict_on_scores(data.scores)
     per_frame = [ms for _, ms in data.timings.values() if ms]
     if per_frame:
-        said.append(f"The computation ran at {1000 / sum(per_frame):.1f} frames per second.")
+        sentences.append(f"The computation ran at {1000 / sum(per_frame):.1f} frames per second.")
     if data.warnings:
         n = len(data.warnings)
-        said.append(f"There {'is one warning' if n == 1 else f'are {n} warnings'}, explained below.")
-    return tuple(said)
+        sentences.append(f"There {'is one warning' if n == 1 else f'are {n} warnings'}, explained below.")
+    return tuple(sentences)
+
+
+def _persons_text(n: int) -> str:
+    return {0: "No person was found", 1: "One person was found"}.get(n, f"{n} persons were found")
+
+
+def _clip_words(data: ReportData) -> list[str]:
+    """Of how many frames and cameras, and how long, as far as that is known."""
+    words = []
+    if data.n_frames is not None:
+        words.append(f"in {data.n_frames} frame{'s' * (data.n_frames != 1)}")
+    if data.n_cameras is not None:
+        words.append(f"of {data.n_cameras} camera{'s' * (data.n_cameras != 1)}")
+    if data.fps and data.n_frames and data.n_frames > 1:
+        words.append(f"({data.n_frames / data.fps:.1f} s at {data.fps:g} frames/s)")
+    return words
 
 
 def _page(data: ReportData, panels: Sequence[FramePanel], width: int, quality: int) -> str:
@@ -214,6 +222,26 @@ def _result_section(data: ReportData) -> str:
 def _pictures_section(data: ReportData, panels: Sequence[FramePanel], width: int, quality: int) -> str:
     if not panels:
         return faint("No pictures were kept of this run.")
+    out = (
+        "<p>The same instant in each camera, from left to right: what was filmed, what was taken for the person, "
+        "the volume that all silhouettes agree on, and the body fitted into it. A good run has silhouettes "
+        "without holes or shadows, a volume that fills them, and limbs that lie on the person's limbs with "
+        "left and right not swapped. Select a picture to enlarge it.</p>"
+        f'<p class="legend">{_swatches(panels)}<span><i class="depth"></i>volume, far to near</span></p>'
+    )
+    if len(panels) < len(data.frames):
+        out += f"<p>{len(panels)} of {len(data.frames)} rows are shown, to keep this file small.</p>"
+    numbers = list(dict.fromkeys(panel.frame for panel in panels))
+    if len(numbers) > 1:
+        out += _frame_slider(numbers)
+    for number in numbers:
+        rows = (_strip(panel, width, quality) for panel in panels if panel.frame == number)
+        out += f'<div class="frame" data-frame="{number}"><h3>Frame {number}</h3>{"".join(rows)}</div>'
+    return out
+
+
+def _swatches(panels: Sequence[FramePanel]) -> str:
+    """What the colours of the pictures mean."""
     swatches = "".join(
         f'<span><i style="background:{_css(colour)}"></i>{name}</span>'
         for name, colour in (
@@ -225,36 +253,32 @@ def _pictures_section(data: ReportData, panels: Sequence[FramePanel], width: int
     )
     if any("skeleton" in label for panel in panels for label, _ in panel.images):
         swatches += "<span>hollow joint: not observed, only inferred</span>"
-    out = (
-        "<p>The same instant in each camera, from left to right: what was filmed, what was taken for the person, "
-        "the volume that all silhouettes agree on, and the body fitted into it. A good run has silhouettes "
-        "without holes or shadows, a volume that fills them, and limbs that lie on the person's limbs with "
-        "left and right not swapped. Select a picture to enlarge it.</p>"
-        f'<p class="legend">{swatches}<span><i class="depth"></i>volume, far to near</span></p>'
+    return swatches
+
+
+def _frame_slider(numbers: Sequence[int]) -> str:
+    ticks = ", ".join(str(n) for n in numbers)
+    return (
+        '<div class="slider" hidden><button type="button" data-step="-1" aria-label="Previous">&#9664;</button>'
+        f'<input type="range" min="0" max="{len(numbers) - 1}" value="0" aria-label="Frame, one of {ticks}">'
+        '<button type="button" data-step="1" aria-label="Next">&#9654;</button><output></output>'
+        '<label><input type="checkbox"> show all</label></div>'
     )
-    if len(panels) < len(data.frames):
-        out += f"<p>{len(panels)} of {len(data.frames)} rows are shown, to keep this file small.</p>"
-    numbers = list(dict.fromkeys(panel.frame for panel in panels))
-    if len(numbers) > 1:
-        ticks = ", ".join(str(n) for n in numbers)
-        out += (
-            '<div class="slider" hidden><button type="button" data-step="-1" aria-label="Previous">&#9664;</button>'
-            f'<input type="range" min="0" max="{len(numbers) - 1}" value="0" aria-label="Frame, one of {ticks}">'
-            '<button type="button" data-step="1" aria-label="Next">&#9654;</button><output></output>'
-            '<label><input type="checkbox"> show all</label></div>'
+
+
+def _strip(panel: FramePanel, width: int, quality: int) -> str:
+    """The pictures of one camera in one frame, side by side."""
+    pictures = "".join(
+        _picture(
+            data_uri(_jpeg(image, width, quality), "image/jpeg"),
+            label,
+            f"{label}, {panel.title}, frame {panel.frame}",
         )
-    for number in numbers:
-        out += f'<div class="frame" data-frame="{number}"><h3>Frame {number}</h3>'
-        for panel in panels:
-            if panel.frame != number:
-                continue
-            out += f'<h4>{escaped(panel.title)}</h4><div class="strip" style="--n:{len(panel.images)}">'
-            for label, image in panel.images:
-                alt = f"{label}, {panel.title}, frame {panel.frame}"
-                out += _picture(data_uri(_jpeg(image, width, quality), "image/jpeg"), label, alt)
-            out += "</div>"
-        out += "</div>"
-    return out
+        for label, image in panel.images
+    )
+    return (
+        f'<h4>{escaped(panel.title)}</h4><div class="strip" style="--n:{len(panel.images)}">{pictures}</div>'
+    )
 
 
 def _picture(uri: str, label: str, alt: str) -> str:

@@ -224,28 +224,35 @@ def _log_static(
     )
     stream.log("about", rr.TextDocument(note, media_type="text/markdown"), static=True)
     for camera in rig:
-        lens = lenses[camera.name]
-        centred = lens.K.copy()
-        centred[:2, 2] += 0.5  # the viewer counts from the corner of the first pixel
-        stream.log(
-            _camera_path(camera),
-            rr.Transform3D(translation=camera.center, mat3x3=camera.R.T),
-            rr.Pinhole(image_from_camera=centred, resolution=lens.size, image_plane_distance=_IMAGE_PLANE_M),
-            static=True,
-        )
+        _log_camera(rr, stream, camera, lenses[camera.name])
     if bounds_m is not None:
         lower, upper = (np.asarray(b, dtype=np.float64) for b in bounds_m)
         box = rr.Boxes3D(mins=[lower], sizes=[upper - lower], colors=[[140, 148, 158]], radii=[0.004])
         stream.log("world/room", box, static=True)
         stream.log("world/floor", _floor(rr, lower, upper), static=True)
     if tracks is not None and len(tracks):
-        for person in tracks.persons:
-            pieces = [piece.xyz for piece in tracks.paths(person)]
-            pieces = [path[np.isfinite(path).all(axis=1)] for path in pieces]
-            pieces = [path for path in pieces if len(path) > 1]
-            if pieces:
-                line = rr.LineStrips3D(pieces, colors=[person_colour(person)] * len(pieces), radii=[0.008])
-                stream.log(f"world/tracks/person_{person}", line, static=True)
+        _log_tracks(rr, stream, tracks)
+
+
+def _log_camera(rr: Any, stream: Any, camera: Camera, lens: _Lens) -> None:
+    centred = lens.K.copy()
+    centred[:2, 2] += 0.5  # the viewer counts from the corner of the first pixel
+    stream.log(
+        _camera_path(camera),
+        rr.Transform3D(translation=camera.center, mat3x3=camera.R.T),
+        rr.Pinhole(image_from_camera=centred, resolution=lens.size, image_plane_distance=_IMAGE_PLANE_M),
+        static=True,
+    )
+
+
+def _log_tracks(rr: Any, stream: Any, tracks: Tracks) -> None:
+    """The whole path of every person, in pieces where somebody was away."""
+    for person in tracks.persons:
+        known = [piece.xyz[np.isfinite(piece.xyz).all(axis=1)] for piece in tracks.paths(person)]
+        pieces = [path for path in known if len(path) > 1]
+        if pieces:
+            line = rr.LineStrips3D(pieces, colors=[person_colour(person)] * len(pieces), radii=[0.008])
+            stream.log(f"world/tracks/person_{person}", line, static=True)
 
 
 def _floor(rr: Any, lower: Array, upper: Array) -> Any:
@@ -262,26 +269,28 @@ def _log_persons(rr: Any, stream: Any, item: SceneFrame, shown: set[int]) -> Non
     shown.intersection_update({*item.persons, *item.parts})
     for person, landmarks in item.persons.items():
         shown.add(person)
-        base = f"world/persons/{person}"
-        points = np.asarray(landmarks, dtype=np.float64)
-        known = np.asarray(np.isfinite(points).all(axis=1))
-        bones = [(LANDMARKS.index(a), LANDMARKS.index(b)) for a, b in BONES]
-        bones = [ab for ab in bones if known[list(ab)].all()]
-        sides = [side_of_landmark(LANDMARKS[b]) for _, b in bones]
-        strips = [points[list(ab)] for ab in bones]
-        line = rr.LineStrips3D(strips, colors=[SIDE_COLOURS[s] for s in sides], radii=[0.012])
-        stream.log(f"{base}/skeleton", line)
-        joints = rr.Points3D(points[known], colors=[person_colour(person)], radii=[0.022])
-        stream.log(f"{base}/joints", joints)
-        if known.any():
-            top = points[known][np.argmax(points[known, 2])] + (0.0, 0.0, 0.15)
-            label = rr.Points3D(
-                [top], labels=[f"person {person}"], colors=[person_colour(person)], radii=[0.01]
-            )
-            stream.log(f"{base}/label", label)
+        _log_landmarks(rr, stream, person, np.asarray(landmarks, dtype=np.float64))
     for person, parts in item.parts.items():
         shown.add(person)
         stream.log(f"world/persons/{person}/body", _capsules(rr, parts))
+
+
+def _log_landmarks(rr: Any, stream: Any, person: int, points: Array) -> None:
+    """Bones, joints and number of a person.  points : (15, 3) m, NaN = unknown."""
+    base = f"world/persons/{person}"
+    known = np.asarray(np.isfinite(points).all(axis=1))
+    bones = [(LANDMARKS.index(a), LANDMARKS.index(b)) for a, b in BONES]
+    bones = [ab for ab in bones if known[list(ab)].all()]
+    sides = [side_of_landmark(LANDMARKS[b]) for _, b in bones]
+    strips = [points[list(ab)] for ab in bones]
+    line = rr.LineStrips3D(strips, colors=[SIDE_COLOURS[s] for s in sides], radii=[0.012])
+    stream.log(f"{base}/skeleton", line)
+    joints = rr.Points3D(points[known], colors=[person_colour(person)], radii=[0.022])
+    stream.log(f"{base}/joints", joints)
+    if known.any():
+        top = points[known][np.argmax(points[known, 2])] + (0.0, 0.0, 0.15)
+        label = rr.Points3D([top], labels=[f"person {person}"], colors=[person_colour(person)], radii=[0.01])
+        stream.log(f"{base}/label", label)
 
 
 def _capsules(rr: Any, parts: Sequence[BodyPart]) -> Any:

@@ -93,7 +93,7 @@ def test_missing_extra_is_one_clear_message(tmp_path: Path, monkeypatch):
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without_rerun)
-    with pytest.raises(MocapError, match=r"mocap\[view\]"):
+    with pytest.raises(MocapError, match=r"mocap-volumes\[view\]"):
         write_rrd(tmp_path / "a.rrd", world.rig(), [])
     assert list(tmp_path.iterdir()) == []
 
