@@ -6,8 +6,9 @@ by the relative pose of every pair of cameras; then OpenCV's multi-view calibrat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import cv2
@@ -33,6 +34,8 @@ _WARN_RMS_PX = 1.0
 _BAD_VIEW = 2.5  # views that are off by so many times the median are left out
 # Third radial term and tangential terms take up noise on boards that fill part of the picture.
 _LENS = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+# (frame, camera) -> for each numbering of the corners these, (N, 2) px, and the pose of the board, (4, 4).
+_Options = Mapping[tuple[int, str], list[tuple[Array, Array]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,16 +100,22 @@ def find_board_views(
     corners: dict[int, dict[str, Array]] = {frame: {} for frame in wanted}
     total, done = len(wanted) * len(clips), 0
     for name, path in clips.items():
-        for frame, image in enumerate(iter_clip(path, camera=name)):
-            if frame in corners:
-                found = find_board(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), size)
-                if found is not None:
-                    corners[frame][name] = found
-                done += 1
-                progress("board", done, total)
-            if frame >= wanted[-1]:
-                break
+        for frame, image in _pictures(path, name, wanted):
+            found = find_board(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), size)
+            if found is not None:
+                corners[frame][name] = found
+            done += 1
+            progress("board", done, total)
     return BoardViews(size, {name: info.size for name, info in infos.items()}, corners, n)
+
+
+def _pictures(path: Path, camera: str, wanted: Sequence[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """The wanted frames (ascending) of a clip; nothing behind the last of them is decoded."""
+    for frame, image in enumerate(iter_clip(path, camera=camera)):
+        if frame in wanted:
+            yield frame, image
+        if frame >= wanted[-1]:
+            return
 
 
 def calibrate_on_board(views: BoardViews, *, square_m: float, floor_frame: int) -> BoardCalibration:
@@ -119,22 +128,7 @@ def calibrate_on_board(views: BoardViews, *, square_m: float, floor_frame: int) 
     if not square_m > 0:
         raise ValueError(f"square_m must be positive, got {square_m}")
     names = list(views.picture_size)
-    counts = {name: sum(name in seen for seen in views.corners.values()) for name in names}
-    for name, count in counts.items():
-        if count < MIN_VIEWS:
-            raise MocapError(
-                f"the board of {views.size[0]} x {views.size[1]} inner corners was found in {count} frames, needed are "
-                f"{MIN_VIEWS}",
-                camera=name,
-                remedy="check --board (inner corners, not squares), show the board longer, nearer and tilted, or look "
-                "at more frames with --frames",
-            )
-    if not views.corners.get(floor_frame):
-        raise MocapError(
-            "no camera sees the board in the floor frame",
-            frame=floor_frame,
-            remedy="give a frame in which the board lies on the floor, in view of two cameras, as --floor-frame",
-        )
+    _check_views(views, floor_frame)
     board = _board_points(views.size, square_m)
     lenses = {name: _lens(views, name, board) for name in names}
     numbered = _agree(views, lenses, board)
@@ -149,9 +143,32 @@ def calibrate_on_board(views: BoardViews, *, square_m: float, floor_frame: int) 
         rig,
         _rms(list(errors.values())),
         rms_of,
-        {name: sum(name in seen for seen in numbered.values()) for name in names},
+        _n_views(numbered, names),
         tuple(_warnings(rig, rms_of)),
     )
+
+
+def _n_views(corners: Mapping[int, Mapping[str, Array]], names: Sequence[str]) -> dict[str, int]:
+    """Frames in which each camera saw the board."""
+    return {name: sum(name in seen for seen in corners.values()) for name in names}
+
+
+def _check_views(views: BoardViews, floor_frame: int) -> None:
+    for name, count in _n_views(views.corners, list(views.picture_size)).items():
+        if count < MIN_VIEWS:
+            raise MocapError(
+                f"the board of {views.size[0]} x {views.size[1]} inner corners was found in {count} frames, needed are "
+                f"{MIN_VIEWS}",
+                camera=name,
+                remedy="check --board (inner corners, not squares), show the board longer, nearer and tilted, or look "
+                "at more frames with --frames",
+            )
+    if not views.corners.get(floor_frame):
+        raise MocapError(
+            "no camera sees the board in the floor frame",
+            frame=floor_frame,
+            remedy="give a frame in which the board lies on the floor, in view of two cameras, as --floor-frame",
+        )
 
 
 def _board_points(size: Size, square_m: float) -> Array:
@@ -195,46 +212,33 @@ def _agree(
         for name, corners in seen.items()
     }
     relative = _relative_poses(views, names, options)
-    numbered: dict[int, dict[str, Array]] = {}
-    for frame, seen in views.corners.items():
-        if not seen:
-            continue
-        first = next(name for name in names if name in seen)
-        uv, T_first = options[frame, first][0]
-        kept = {first: uv}
-        for name in seen:
-            if name == first:
-                continue
-            T_first_name = _inverse(relative[first]) @ relative[name]
-            distance = float(np.linalg.norm(T_first[:3, 3]))
-            fits = [_difference(T_first, T_first_name @ T, distance) for _, T in options[frame, name]]
-            best = int(np.argmin([turn + shift for turn, shift in fits]))
-            if fits[best][0] < 2 * _MAX_TURN_RAD and fits[best][1] < 2 * _MAX_SHIFT:
-                kept[name] = options[frame, name][best][0]
-        numbered[frame] = kept
-    return numbered
+    return {
+        frame: _numbered_alike([name for name in names if name in seen], frame, options, relative)
+        for frame, seen in views.corners.items()
+        if seen
+    }
 
 
-def _relative_poses(
-    views: BoardViews, names: Sequence[str], options: Mapping[tuple[int, str], list[tuple[Array, Array]]]
+def _numbered_alike(
+    names: Sequence[str], frame: int, options: _Options, relative: Mapping[str, Array]
 ) -> dict[str, Array]:
+    """Corners of one frame by the numbering that fits the first camera best; views that fit none are left out."""
+    first = names[0]
+    uv, T_first = options[frame, first][0]
+    kept = {first: uv}
+    for name in names[1:]:
+        T_first_name = _inverse(relative[first]) @ relative[name]
+        distance = float(np.linalg.norm(T_first[:3, 3]))
+        fits = [_difference(T_first, T_first_name @ T, distance) for _, T in options[frame, name]]
+        best = int(np.argmin([turn + shift for turn, shift in fits]))
+        if fits[best][0] < 2 * _MAX_TURN_RAD and fits[best][1] < 2 * _MAX_SHIFT:
+            kept[name] = options[frame, name][best][0]
+    return kept
+
+
+def _relative_poses(views: BoardViews, names: Sequence[str], options: _Options) -> dict[str, Array]:
     """Camera -> its pose in the frame of the first camera (T_first_name), along the pairs that most frames agree on."""
-    edges: dict[tuple[str, str], tuple[int, Array]] = {}
-    for i, a in enumerate(names):
-        for b in names[i + 1 :]:
-            found = _pair(
-                [
-                    (
-                        float(np.linalg.norm(options[frame, a][0][1][:3, 3])),
-                        [options[frame, a][0][1] @ _inverse(T) for _, T in options[frame, b]],
-                    )
-                    for frame, seen in views.corners.items()
-                    if a in seen and b in seen
-                ]
-            )
-            if found is not None:
-                edges[a, b] = found
-                edges[b, a] = found[0], _inverse(found[1])
+    edges = _edges(views, names, options)
     placed = {names[0]: np.eye(4)}
     while len(placed) < len(names):
         reach = [(edge, n) for edge, (n, _) in edges.items() if edge[0] in placed and edge[1] not in placed]
@@ -250,24 +254,49 @@ def _relative_poses(
     return placed
 
 
+def _edges(
+    views: BoardViews, names: Sequence[str], options: _Options
+) -> dict[tuple[str, str], tuple[int, Array]]:
+    """(a, b) -> how many frames agree on the pose of b in a's frame, and that pose."""
+    edges: dict[tuple[str, str], tuple[int, Array]] = {}
+    for a, b in combinations(names, 2):
+        common = [frame for frame, seen in views.corners.items() if a in seen and b in seen]
+        found = _pair([_candidate(options[frame, a], options[frame, b]) for frame in common])
+        if found is not None:
+            edges[a, b] = found
+            edges[b, a] = found[0], _inverse(found[1])
+    return edges
+
+
+def _candidate(of_a: list[tuple[Array, Array]], of_b: list[tuple[Array, Array]]) -> tuple[float, list[Array]]:
+    """Distance of camera a to the board, m, and the pose of b in a's frame for each numbering of b."""
+    T_a = of_a[0][1]
+    return float(np.linalg.norm(T_a[:3, 3])), [T_a @ _inverse(T) for _, T in of_b]
+
+
 def _pair(candidates: Sequence[tuple[float, Sequence[Array]]]) -> tuple[int, Array] | None:
     """The relative pose that most frames agree on, and how many do; None if too few.
 
     candidates : of every frame the distance to the board, m, and the relative pose for each numbering.
     """
     best: tuple[int, float, Array] | None = None
-    for _, own in candidates:
-        for T in own:
-            n, spread = 0, 0.0
-            for distance, others in candidates:
-                turn, shift = min((_difference(T, other, distance) for other in others), key=sum)
-                if turn < _MAX_TURN_RAD and shift < _MAX_SHIFT:
-                    n, spread = n + 1, spread + turn + shift
-            if best is None or (n, -spread) > (best[0], -best[1]):
-                best = n, spread, T
+    for T in (T for _, own in candidates for T in own):
+        n, spread = _agreement(T, candidates)
+        if best is None or (n, -spread) > (best[0], -best[1]):
+            best = n, spread, T
     if best is None or best[0] < _MIN_COMMON or best[0] <= len(candidates) / 2:
         return None
     return best[0], best[2]
+
+
+def _agreement(T: Array, candidates: Sequence[tuple[float, Sequence[Array]]]) -> tuple[int, float]:
+    """How many frames agree with a relative pose, and by how much these differ from it in all."""
+    n, spread = 0, 0.0
+    for distance, others in candidates:
+        turn, shift = min((_difference(T, other, distance) for other in others), key=sum)
+        if turn < _MAX_TURN_RAD and shift < _MAX_SHIFT:
+            n, spread = n + 1, spread + turn + shift
+    return n, spread
 
 
 def _inverse(T: Array) -> Array:
@@ -285,18 +314,16 @@ def _solve(
     views: BoardViews, numbered: Mapping[int, Mapping[str, Array]], names: Sequence[str], board: Array
 ) -> CameraRig:
     """Lenses and places of all cameras at once; the world is the first camera's frame."""
-    frames = [frame for frame, seen in numbered.items() if len(seen) >= 1]
-    nothing = np.zeros((0, 2), dtype=np.float32)
-    pixels = [
-        [numbered[f][name].astype(np.float32) if name in numbered[f] else nothing for f in frames]
-        for name in names
-    ]
-    mask = np.array([[name in numbered[f] for f in frames] for name in names], dtype=np.uint8)
+    frames = [seen for seen in numbered.values() if seen]
+    nothing = np.zeros((0, 2))
+    pixels = [[seen.get(name, nothing).astype(np.float32) for seen in frames] for name in names]
+    sizes = [views.picture_size[name] for name in names]
+    mask = np.array([[name in seen for seen in frames] for name in names], dtype=np.uint8)
     try:
         _, Ks, dists, Rs, ts = cv2.calibrateMultiview(
             [board.astype(np.float32)] * len(frames),
             pixels,
-            [views.picture_size[name] for name in names],
+            sizes,
             mask,
             np.full(len(names), cv2.CALIB_MODEL_PINHOLE, dtype=np.uint8),
             [],
@@ -310,17 +337,11 @@ def _solve(
             f"the calibration has no solution: {error.err}",
             remedy="show the board in more places and at more angles, to two cameras at once",
         ) from error
+    solved = zip(names, sizes, Ks, dists, Rs, ts, strict=True)
     return CameraRig(
         tuple(
-            Camera(
-                name,
-                views.picture_size[name],
-                K,
-                np.ravel(dist),
-                cv2.Rodrigues(np.asarray(R))[0],
-                np.ravel(t),
-            )
-            for name, K, dist, R, t in zip(names, Ks, dists, Rs, ts, strict=True)
+            Camera(name, size, K, np.ravel(dist), cv2.Rodrigues(np.asarray(R))[0], np.ravel(t))
+            for name, size, K, dist, R, t in solved
         )
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -71,16 +72,21 @@ def find_boards(
     wanted = np.unique(np.linspace(0, n - 1, n_frames).round().astype(int)).tolist()
     pictures = {name: list(_pick(path, name, wanted)) for name, path in sources.items()}
     for candidate in (size,) if size is not None else COMMON_BOARDS:
-        views: Views = []
-        for k in range(len(wanted)):
-            seen = {name: find_board(frames[k], candidate) for name, frames in pictures.items()}
-            views.append({name: corners for name, corners in seen.items() if corners is not None})
-            if k == 0 and size is None and not views[0]:
-                break  # nobody sees a board of this size
-        views = [view for view in views if len(view) >= 2]
+        views = [view for view in _views(pictures, candidate, is_guess=size is None) if len(view) >= 2]
         if views:
             return candidate, views
     return None
+
+
+def _views(pictures: Mapping[str, Sequence[Grey]], size: tuple[int, int], *, is_guess: bool) -> Views:
+    """Corners of a board of this size by frame and camera.  is_guess : give up when nobody sees it in the first."""
+    views: Views = []
+    for k in range(len(next(iter(pictures.values())))):
+        seen = {name: find_board(frames[k], size) for name, frames in pictures.items()}
+        views.append({name: corners for name, corners in seen.items() if corners is not None})
+        if is_guess and not views[0]:
+            break
+    return views
 
 
 def measure_board(
@@ -97,16 +103,10 @@ def measure_board(
     sides: list[float] = []
     for view in views:
         names = [n for n in view if n in rig.names]
+        cameras = [rig[n] for n in names]
         if len(names) < 2:
             continue
-        cameras = [rig[n] for n in names]
-        pixels = [numberings(view[names[0]], size)[0]]
-        for camera, name in zip(cameras[1:], names[1:], strict=True):
-            options = numberings(view[name], size)
-            residuals = [
-                float(np.mean(_residual_px([cameras[0], camera], [pixels[0], option]))) for option in options
-            ]
-            pixels.append(options[int(np.argmin(residuals))])
+        pixels = _numbered_alike(cameras, [view[n] for n in names], size)
         residual, side = _fit_board(cameras, pixels, size, None)
         sides.append(side)
         for name, error in zip(names, residual, strict=True):
@@ -115,14 +115,36 @@ def measure_board(
             at_true_size += list(_fit_board(cameras, pixels, size, square_m)[0])
     if not sides:
         return None
+    return _measure(size, errors, float(np.mean(sides)), at_true_size)
+
+
+def _measure(
+    size: tuple[int, int], errors: Mapping[str, Sequence[Array]], side_m: float, at_true_size: Sequence[Array]
+) -> BoardMeasure:
+    """errors : camera -> distances, px, one array per view.  at_true_size : the same with squares of the true size."""
+    of_camera = {name: np.concatenate(group) for name, group in errors.items()}
     return BoardMeasure(
         size,
-        _rms(np.concatenate([e for group in errors.values() for e in group])),
-        {name: _rms(np.concatenate(group)) for name, group in errors.items()},
-        sum(len(group) for group in errors.values()),
-        float(np.mean(sides)),
+        _rms(np.concatenate(list(of_camera.values()))),
+        {name: _rms(group) for name, group in of_camera.items()},
+        sum(map(len, errors.values())),
+        side_m,
         _rms(np.concatenate(at_true_size)) if at_true_size else None,
     )
+
+
+def _numbered_alike(
+    cameras: Sequence[Camera], corners: Sequence[Array], size: tuple[int, int]
+) -> list[Array]:
+    """Corners of every camera numbered as those of the first, by what can be triangulated best."""
+    pixels = [numberings(corners[0], size)[0]]
+    for camera, own in zip(cameras[1:], corners[1:], strict=True):
+        options = numberings(own, size)
+        residuals = [
+            float(np.mean(_residual_px([cameras[0], camera], [pixels[0], option]))) for option in options
+        ]
+        pixels.append(options[int(np.argmin(residuals))])
+    return pixels
 
 
 def _fit_board(
@@ -226,18 +248,8 @@ def _quadrangles(grey: Grey) -> list[Array]:
         contours, _ = cv2.findContours(
             (grey > level).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
         )
-        for contour in contours:
-            area = cv2.contourArea(contour)
-            if area < smallest:
-                continue
-            polygon = cv2.approxPolyDP(contour, 0.03 * cv2.arcLength(contour, True), True).reshape(-1, 2)
-            if len(polygon) != 4 or not cv2.isContourConvex(polygon):
-                continue
-            inside = np.zeros_like(grey)
-            cv2.fillConvexPoly(inside, polygon, 1)
-            spread = float(grey[inside > 0].std())
-            if spread > 25:
-                found.append((spread * area, polygon.astype(np.float64)))
+        spotted = (_spotted(grey, contour) for contour in contours if cv2.contourArea(contour) >= smallest)
+        found += [one for one in spotted if one is not None]
     found.sort(key=lambda f: -f[0])
     kept: list[Array] = []
     for _, polygon in found:
@@ -246,6 +258,20 @@ def _quadrangles(grey: Grey) -> list[Array]:
         if is_new and len(kept) < _MAX_QUADRANGLES:
             kept.append(polygon)
     return kept
+
+
+def _spotted(grey: Grey, contour: NDArray[Any]) -> tuple[float, Array] | None:
+    """How spotted a four-sided region is, times its area, and its corners (4, 2) px.
+
+    None for other shapes and for plain regions.
+    """
+    polygon = cv2.approxPolyDP(contour, 0.03 * cv2.arcLength(contour, True), True).reshape(-1, 2)
+    if len(polygon) != 4 or not cv2.isContourConvex(polygon):
+        return None
+    inside = np.zeros_like(grey)
+    cv2.fillConvexPoly(inside, polygon, 1)
+    spread = float(grey[inside > 0].std())
+    return (spread * cv2.contourArea(contour), polygon.astype(np.float64)) if spread > 25 else None
 
 
 def _find_rectified(grey: Grey, quadrangle: Array, size: tuple[int, int]) -> Array | None:

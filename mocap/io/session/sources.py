@@ -158,11 +158,11 @@ def cameras_with_sources(root: Path, rig: CameraRig, sources: Sources) -> Camera
     if not present:
         raise _no_pictures(root, rig, sources)
     if len(present) < 2:
+        lacking = f" (nothing for {listed(absent)})" if absent else ""
         raise MocapError(
-            f"only camera {present[0]} has pictures; at least two cameras are needed"
-            + (f" (nothing for {listed(absent)})" if absent else ""),
+            f"only camera {present[0]} has pictures; at least two cameras are needed{lacking}",
             path=root,
-            camera=(absent or present)[0],
+            camera=[*absent, *present][0],
             remedy="add the videos of the other cameras, named as in the calibration",
         )
     if absent:

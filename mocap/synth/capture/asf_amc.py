@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.errors import MocapError
+from mocap.files import read_bytes
 from mocap.synth.capture.recording import Recording, euler_matrix
 
 Array = NDArray[np.float64]
@@ -33,14 +34,8 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            text = path.read_text(encoding="utf-8", errors="replace")
-        except OSError as error:
-            raise MocapError(
-                f"the capture cannot be read: {error}",
-                path=path,
-                remedy="give an AMC file beside its ASF file",
-            ) from error
+        content = read_bytes(path, "the capture", remedy="give an AMC file beside its ASF file")
+        text = content.decode("utf-8", errors="replace")
         self.lines = [
             (number, line.split())
             for number, line in enumerate(text.splitlines(), start=1)
