@@ -7,10 +7,13 @@ From the checkout: python -m docs.make_architecture            # write docs/pict
 from __future__ import annotations
 
 import ast
+import itertools
 import sys
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
+
+import numpy as np
 
 from tests.test_architecture import EVERYBODYS, imports_of, mocap_files, package_of
 
@@ -78,6 +81,10 @@ def table(graph: dict[str, set[str]]) -> str:
     return "\n".join(lines)
 
 
+# A stop of an arrow on a floor: a room, or (from, to, floor) where the arrow passes between the rooms.
+Stop = str | tuple[str, str, int]
+
+
 def draw(graph: dict[str, set[str]], path: Path) -> None:
     """Rooms as boxes on their floors, the needed arrows between them."""
     import matplotlib
@@ -86,39 +93,54 @@ def draw(graph: dict[str, set[str]], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     floor_of = floors(graph)
-    rows = [sorted(r for r in graph if floor_of[r] == k) for k in range(max(floor_of.values()) + 1)]
-    at = _places(rows, needed(graph))
-    figure, axes = plt.subplots(figsize=(12, 1.0 * len(rows) + 0.4), dpi=110)
-    for room, below in sorted(needed(graph)):
-        (x0, y0), (x1, y1) = at[room], at[below]
-        axes.annotate(
-            "",
-            (x1, y1 + 0.2),
-            (x0, y0 - 0.2),
-            arrowprops={"arrowstyle": "-|>", "color": "#7a8794", "lw": 1.1, "shrinkA": 0, "shrinkB": 0},
-        )
-    for room, (x, y) in at.items():
+    ways = [_way(room, below, floor_of) for room, below in sorted(needed(graph))]
+    at = _places(graph, floor_of, ways)
+    n_floors = max(floor_of.values()) + 1
+    figure, axes = plt.subplots(figsize=(12, n_floors + 0.4), dpi=110)
+    for way in ways:
+        x, y = np.array([at[stop] for stop in way], dtype=np.float64).T
+        y[0] -= 0.2
+        y[-1] += 0.2
+        axes.plot(x[:-1], y[:-1], color="#7a8794", lw=1.1)
+        arrow = {"arrowstyle": "-|>", "color": "#7a8794", "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", (x[-1], y[-1]), (x[-2], y[-2]), arrowprops=arrow)
+    for room in graph:
         box = {"boxstyle": "round,pad=0.38", "fc": "#e8eef5", "ec": "#34495e"}
-        axes.text(x, y, room, ha="center", va="center", fontsize=11, bbox=box, zorder=3)
-    axes.set_xlim(-0.06, 1.06)
-    axes.set_ylim(-0.6, len(rows) - 0.4)
+        axes.text(*at[room], room, ha="center", va="center", fontsize=11, bbox=box, zorder=3)
+    axes.set_xlim(-0.02, 1.02)
+    axes.set_ylim(-0.6, n_floors - 0.4)
     axes.axis("off")
     figure.savefig(path, bbox_inches="tight", pil_kwargs={"optimize": True})
     plt.close(figure)
 
 
-def _places(rows: list[list[str]], pairs: set[tuple[str, str]]) -> dict[str, tuple[float, float]]:
-    """Room -> (x, y); within a floor ordered by the middle of what is joined to it, so that few arrows cross."""
-    order = {room: (i + 0.5) / len(row) for row in rows for i, room in enumerate(row)}
-    for _ in range(20):
+def _way(room: str, below: str, floor_of: dict[str, int]) -> list[Stop]:
+    """An arrow's stops from the upper room to the lower one, one on each floor."""
+    between = range(floor_of[room] - 1, floor_of[below], -1)
+    return [room, *((room, below, floor) for floor in between), below]
+
+
+def _places(
+    graph: dict[str, set[str]], floor_of: dict[str, int], ways: list[list[Stop]]
+) -> dict[Stop, tuple[float, float]]:
+    """Stop -> (x, y); within a floor ordered by the middle of what is joined to it, so that few arrows cross."""
+    rows: list[list[Stop]] = [
+        [r for r in sorted(graph) if floor_of[r] == k] for k in range(max(floor_of.values()) + 1)
+    ]
+    joined: dict[Stop, list[Stop]] = {room: [] for room in graph}
+    for way in ways:
+        for stop in way[1:-1]:
+            rows[stop[2]].append(stop)  # type: ignore[misc]
+            joined[stop] = []
+        for a, b in itertools.pairwise(way):
+            joined[a].append(b)
+            joined[b].append(a)
+    x: dict[Stop, float] = {s: (i + 0.5) / len(row) for row in rows for i, s in enumerate(row)}
+    for _ in range(30):
         for row in [*rows, *rows[::-1]]:
-            joined = {
-                room: [order[b if a == room else a] for a, b in pairs if room in (a, b)] or [order[room]]
-                for room in row
-            }
-            ranked = sorted(row, key=lambda r: sum(joined[r]) / len(joined[r]))
-            order |= {room: (i + 0.5) / len(row) for i, room in enumerate(ranked)}
-    return {room: (order[room], float(y)) for y, row in enumerate(rows) for room in row}
+            row.sort(key=lambda s: sum(x[o] for o in joined[s]) / max(len(joined[s]), 1))
+            x |= {s: (i + 0.5) / len(row) for i, s in enumerate(row)}
+    return {stop: (x[stop], float(y)) for y, row in enumerate(rows) for stop in row}
 
 
 def main() -> int:

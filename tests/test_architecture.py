@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -270,6 +271,42 @@ def test_a_wrong_arrow_is_caught(where: str, text: str, message: str) -> None:
 )
 def test_a_right_arrow_is_let_through(where: str, text: str) -> None:
     assert violations(ROOT / where, text) == []
+
+
+def imports_among(files: dict[str, Path]) -> dict[str, set[str]]:
+    """Module -> modules of `files` (dotted name -> file) that it imports, at any depth; its own package left out."""
+    found: dict[str, set[str]] = {}
+    for module, path in files.items():
+        package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+        found[module] = set()
+        for item in imports_of(ast.parse(path.read_text("utf-8")), package):
+            name = item.module
+            while name and name not in files:
+                name = name.rpartition(".")[0]
+            # A module that asks its own package for something is served by the package's other modules.
+            if name and not f"{module}.".startswith(f"{name}."):
+                found[module].add(name)
+    return found
+
+
+def test_no_circle_of_imports() -> None:
+    files = {
+        ".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p
+        for p in mocap_files()
+    }
+    try:
+        TopologicalSorter(imports_among(files)).prepare()
+    except CycleError as circle:
+        pytest.fail(f"imports run in a circle: {' -> '.join(circle.args[1])}")
+
+
+def test_a_circle_of_imports_is_found(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("def f():\n    from b import g\n", "utf-8")
+    (tmp_path / "b.py").write_text("import a\n", "utf-8")
+    graph = imports_among({name: tmp_path / f"{name}.py" for name in "ab"})
+    assert graph == {"a": {"b"}, "b": {"a"}}
+    with pytest.raises(CycleError):
+        TopologicalSorter(graph).prepare()
 
 
 def test_stages_have_tests() -> None:
