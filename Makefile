@@ -9,12 +9,13 @@ EXTRAS := dev,synth,export,view,cluster
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-slow lint format bench clean
+.PHONY: help venv demo test test-slow mutants lint format bench clean
 
 help:
 	@echo "make demo       synthesise a session, run the pipeline on it, score it: out/demo/"
 	@echo "make test       all tests but the slow ones (ARGS=... goes to pytest)"
 	@echo "make test-slow  the slow tests"
+	@echo "make mutants    plant one-line mistakes in the numerical core and see that tests notice them (slow)"
 	@echo "make lint       ruff (rules and format) and mypy"
 	@echo "make format     let ruff format the code"
 	@echo "make bench      the speed measures of eval.bench"
@@ -49,6 +50,9 @@ test: $(STAMP)
 
 test-slow: $(STAMP)
 	@$(BIN)/python -m pytest -m slow $(ARGS)
+
+mutants: $(STAMP)
+	@$(BIN)/python -m eval.mutants $(ARGS)
 
 lint: $(STAMP)
 	@$(BIN)/ruff check .

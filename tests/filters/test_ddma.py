@@ -221,3 +221,16 @@ def test_same_generator_same_answer_with_scouts() -> None:
     np.testing.assert_array_equal(a.particles, b.particles)
     assert a.n_units == b.n_units
     assert a.weights.sum() == pytest.approx(1.0)
+
+
+def test_one_angle_that_is_narrow_keeps_a_unit() -> None:
+    """All angles of a unit must be wide, not any."""
+    limbs = LimbSettings(TREE_LIMBS)
+    p = tree((1.0, 0.01, 0.9, 0.9), (1, 2, 3))
+    for narrow, n_units in ((None, (0, 1)), (2, (2, 1)), (3, (2, 1))):
+        std = WIDE.copy()
+        if narrow is not None:
+            std[narrow] = np.deg2rad(2.0)
+        own = DdmaSettings(ApfSettings(n_layers=2, n_particles=300, std=std), limbs)
+        _, info = ddma_step(p, initial_particles(p, np.zeros(6), 300), own, rng=np.random.default_rng(0))
+        assert info.n_units == n_units, narrow

@@ -7,7 +7,7 @@ import pytest
 from linear_gaussian_tree import LinearGaussianTree, positions_of, tree_layout
 
 from mocap.filters import FILTERS, ParticleState, initial_particles
-from mocap.filters._swarm import SwarmSettings, annealed_attraction, constant_attraction
+from mocap.filters._swarm import Swarm, SwarmSettings, annealed_attraction, constant_attraction, fly
 from mocap.filters.apsopf import exponential_attraction
 from mocap.filters.partitioned import PartitionedSettings
 
@@ -297,3 +297,41 @@ def test_bad_settings_are_refused() -> None:
     for change, message in bad:
         with pytest.raises(ValueError, match=message):
             replace(settings(), **change)  # type: ignore[arg-type]
+
+
+@dataclass(eq=False)
+class Still(LinearGaussianTree):
+    """Nothing moves by itself, so that a swarm's moves stand alone."""
+
+    def propagate(self, particles: np.ndarray, std: np.ndarray, *, rng: np.random.Generator) -> np.ndarray:
+        return particles.copy()
+
+
+def test_a_swarm_moves_by_inertia_its_own_best_and_the_leader() -> None:
+    """XN Eq. 3.6 written out particle by particle, with the same draws."""
+    problem = Still(TREE, Z, NOISE)
+    s = settings(12, 6)
+    start = np.random.default_rng(1).normal(size=(12, D))
+
+    def score(x: np.ndarray) -> np.ndarray:
+        return problem.log_likelihood(x).sum(axis=1)
+
+    kind = Swarm(constant_attraction, has_velocity=True, is_estimate_best=True, is_carried_on=True)
+    found, value = fly(problem, score, start, np.arange(D), s, kind, rng=np.random.default_rng(7))
+    rng = np.random.default_rng(7)
+    x, best = start.copy(), start.copy()
+    v = (2.0 * rng.random((12, D)) - 1.0) * s.std
+    n_returned = 0
+    for _ in range(s.n_iterations):
+        leader = best[np.argmax(score(best))].copy()
+        own, common = rng.random((12, D)), rng.random((12, D))
+        for k in range(12):
+            v[k] = s.inertia * v[k] + s.attraction * (own[k] * (best[k] - x[k]) + common[k] * (leader - x[k]))
+            x[k] = x[k] + v[k]
+            if score(x[k : k + 1])[0] > score(best[k : k + 1])[0]:
+                best[k] = x[k]
+            else:
+                n_returned += 1
+    assert n_returned > 12, "some must have been better before"
+    np.testing.assert_allclose(found, best, atol=1e-12)
+    np.testing.assert_allclose(value, score(best), atol=1e-9)

@@ -154,3 +154,35 @@ def test_farther_out_never_lands_further_in(k1: float, k2: float, azimuth: float
     seen = np.isfinite(distance)
     assert np.all(np.diff(seen.astype(int)) <= 0), "a point beyond an unseen one is seen"
     assert np.all(np.diff(distance[seen]) >= -1e-9)
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(-0.5, 0.05), (0.1, -0.05), (-0.011, 0.0)])
+def test_fold_of_two_coefficients_is_the_closed_form(k1: float, k2: float) -> None:
+    """1 + 3 k1 r^2 + 5 k2 r^4 = 0; the last one folds far outside any usual picture, at r = 5.5."""
+    roots = np.roots([5 * k2, 3 * k1, 1.0] if k2 else [3 * k1, 1.0])
+    expected = np.sqrt(min(r.real for r in roots if abs(r.imag) < 1e-12 and r.real > 0))
+    assert max_normalised_radius(np.array([k1, k2, 0.0, 0.0]), False) == pytest.approx(expected, rel=1e-2)
+    if expected < np.pi:
+        assert max_normalised_radius(np.array([k1, k2, 0.0, 0.0]), True) == pytest.approx(expected, rel=1e-2)
+
+
+@pytest.mark.parametrize("k4", [-0.05, 0.2, 0.6])
+def test_fold_of_a_rational_model_is_where_its_derivative_vanishes(k4: float) -> None:
+    """f = r (1 + k1 s) / (1 + k4 s), s = r^2: the numerator of f' is 1 + (3 k1 - k4) s + k1 k4 s^2."""
+    k1 = -0.2
+    fold = max_normalised_radius(np.array([k1, 0.0, 0.0, 0.0, 0.0, k4, 0.0, 0.0]), False)
+    roots = np.roots([k1 * k4, 3 * k1 - k4, 1.0])
+    expected = np.sqrt(min(r.real for r in roots if abs(r.imag) < 1e-12 and r.real > 0))
+    assert fold == pytest.approx(expected, rel=1e-2)
+
+
+@pytest.mark.parametrize("is_fisheye", [False, True])
+def test_strong_distortion_shows_nothing_beyond_its_fold(is_fisheye: bool) -> None:
+    dist = np.array([-0.5, 0.05, 0.0, 0.0])
+    fold = max_normalised_radius(dist, is_fisheye)
+    reach = np.array([0.98, 1.02, 1.3]) * fold
+    across = np.tan(reach) if is_fisheye else reach
+    points = np.column_stack([across, np.zeros(3), np.ones(3)])
+    uv, _ = project_points(points, K, dist, np.eye(3), np.zeros(3), is_fisheye=is_fisheye)
+    assert np.isfinite(uv[0]).all()
+    assert np.isnan(uv[1:]).all()

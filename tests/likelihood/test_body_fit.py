@@ -115,3 +115,12 @@ def test_the_step_solves_the_damped_equations_in_the_free_columns() -> None:
         np.testing.assert_allclose(step[free], -np.linalg.solve(A, g[free]), rtol=1e-9)
         assert not step[~free].any()
         assert not solve(-H, g, 0.0, free, np.zeros((9, 9)), step)
+
+
+def test_the_prior_pulls_the_short_way_across_the_seam() -> None:
+    start, x = np.array([0.1 - np.pi, 0.2]), np.array([np.pi - 0.1, 0.5])
+    H, g = np.zeros((2, 2)), np.zeros(2)
+    cost = kernels.add_prior(x, start, np.array([2.0, 3.0]), np.array([True, False]), H, g)
+    assert cost == pytest.approx(0.5 * (2.0 * 0.2**2 + 3.0 * 0.3**2))
+    np.testing.assert_allclose(g, [-0.4, 0.9])
+    np.testing.assert_allclose(H, np.diag([2.0, 3.0]))

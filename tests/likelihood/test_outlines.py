@@ -19,10 +19,17 @@ from outline_world import (
     silhouette,
 )
 
-from mocap.body import cones_of, landmarks_of
+from mocap.body import cones_of, landmarks_of, neutral_state
 from mocap.data import CameraRig
 from mocap.filters.refine import RefineSettings, refine
-from mocap.likelihood.residuals import OutlineFitSettings, Outlines, SumProblem, person_outlines, pinhole_view
+from mocap.likelihood.residuals import (
+    OutlineFitSettings,
+    OutlineProblem,
+    Outlines,
+    SumProblem,
+    person_outlines,
+    pinhole_view,
+)
 from mocap.likelihood.residuals import _outline_kernels as kernels
 
 STEP = 1e-6
@@ -229,3 +236,46 @@ def test_a_view_without_distortion_returns_the_mask_itself(rig: CameraRig) -> No
     mask = np.zeros((H, W), dtype=np.bool_)
     cv2.circle(mask.view(np.uint8), (90, 70), 20, 1, -1)
     assert np.array_equal(pinhole_view(next(iter(rig))).undistort(mask), mask)
+
+
+def test_the_gradient_knows_that_cones_taper(coarse_flesh: Flesh) -> None:
+    """One ray beside a forearm whose radius falls from 12 cm to 2 cm: moved along it, the flesh comes and goes."""
+    body = coarse_flesh.body
+    cones = replace(body.cones, radii=np.where(np.arange(2) == 0, 0.12, 0.02) + 0.0 * body.cones.radii)
+    body = replace(body, cones=cones)
+    state = neutral_state(body)
+    for name in ("right_shoulder_x", "left_shoulder_x", "right_elbow_z", "left_elbow_z"):
+        state[body.layout.names.index(name)] = 0.0
+    k = int(np.flatnonzero(cones.part == body.layout.parts.index("left_forearm"))[-1])
+    start, end = (e[k] for e in cones_of(body, state))
+    axis = (end - start) / np.linalg.norm(end - start)
+    # A ray across the arm: there the derivative is exact.
+    outwards = np.cross(axis, [1.0, 0.0, 0.0])
+    outwards /= np.linalg.norm(outwards)
+    ahead = np.cross(outwards, axis)
+    touched = start + 0.5 * (end - start) + 0.10 * outwards
+    empty = np.zeros(0, dtype=np.int64)
+    pair = np.zeros((len(ANGLES_DEG), 2), dtype=np.int64)
+    outlines = Outlines(
+        rig=make_rig(),
+        origins=(touched - 2.0 * ahead)[None],
+        directions=ahead[None],
+        normals=outwards[None],
+        camera=np.zeros(1, dtype=np.int64),
+        nearest=empty.astype(np.int32),
+        first=pair[:, 0].copy(),
+        shape=pair,
+        corner=pair,
+    )
+    settings = OutlineFitSettings(scale_m=50.0, normal_cost_m=0.0)
+    problem = OutlineProblem(body, coarse_flesh.table, outlines, settings)
+    _, _, g = problem.normal_equations(state)
+    numeric = np.array(
+        [
+            (problem.normal_equations(state + e)[0] - problem.normal_equations(state - e)[0]) / (2 * STEP)
+            for e in STEP * np.eye(len(state))
+        ]
+    )
+    along = g[:3] @ axis
+    assert abs(along) > 0.2 * np.abs(g[:3]).max(), "the taper pulls along the arm"
+    np.testing.assert_allclose(g, numeric, atol=0.03 * np.abs(numeric).max())

@@ -107,3 +107,13 @@ def test_unknown_and_degenerate_landmarks_are_left_out():
     assert angle_scores(truth[:0], truth[:0]).mean_deg is None
     with pytest.raises(ValueError, match="landmarks"):
         joint_angles(np.zeros((2, 14, 3)))
+
+
+@pytest.mark.parametrize("twist", [-0.6, 0.9])
+def test_legs_are_seen_from_the_hips_and_arms_from_the_shoulders(twist):
+    pose = figure(twist=twist, swing_leg=0.4, arm_up=0.7)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        assert angle(pose, f"{side}_hip_front") == pytest.approx(-0.4)
+        assert angle(pose, f"{side}_hip_side") == pytest.approx(0.0, abs=1e-9)
+        assert angle(pose, f"{side}_shoulder_up") == pytest.approx(sign * 0.7)
+        assert angle(pose, f"{side}_shoulder_front") == pytest.approx(0.0, abs=1e-9)

@@ -5,9 +5,10 @@ import pytest
 from bodies import BLUE, RED, SIDE, box, observe, person, run, settings
 
 from mocap.tracking import _kernels, published_settings
-from mocap.tracking.claims import frame_of
+from mocap.tracking.claims import claim_of, frame_of
 from mocap.tracking.colour import N_BINS, banded_histogram
-from mocap.tracking.particle import exclusion, particle_likelihoods, systematic
+from mocap.tracking.particle import estimate, exclusion, particle_likelihoods, start, systematic
+from mocap.tracking.state import Track
 
 RNG = np.random.default_rng
 
@@ -135,3 +136,19 @@ def test_kernels_equal_their_python():
     _kernels.colour_shares(particles, 0.2, 0.3, points, bins, root, colour[0])
     _kernels.colour_shares.py_func(particles, 0.2, 0.3, points, bins, root, colour[1])
     np.testing.assert_allclose(colour[0], colour[1], rtol=1e-12)
+
+
+def test_colour_weight_mixes_overlap_and_colour():
+    """CF Eq. 4.8: a target in other clothes keeps the share 1 - weight of its likelihood, one without colours all."""
+    s = settings(tracker="particle", n_samples=60, colour_weight=0.3)
+    here = frame_of(observe(person(0.0, 0.0, RED)), s)
+    stranger = np.zeros(N_BINS, dtype=np.float32)
+    stranger[0] = 1.0
+    bare = Track(1, here.voxels.centers.mean(axis=0), "confirmed", 0)
+    track = start(bare, here, claim_of(here, np.arange(len(here.voxels))), rng=RNG(0))
+    likelihood = [
+        estimate(track.but(histogram=histogram), np.zeros((0, 2)), here, rng=RNG(1)).efficiency
+        for histogram in (None, stranger)
+    ]
+    assert likelihood[0] > 0.1
+    assert likelihood[1] == pytest.approx(0.7 * likelihood[0])

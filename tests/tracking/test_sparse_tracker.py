@@ -6,6 +6,7 @@ from bodies import BLUE, RED, SIDE, box, observe, person, run, settings
 
 from mocap.tracking import _kernels, published_settings
 from mocap.tracking.claims import claim_of, frame_of
+from mocap.tracking.colour import N_BINS
 from mocap.tracking.features import components_of
 from mocap.tracking.particle import exclusion, systematic
 from mocap.tracking.sparse import estimate, start
@@ -260,3 +261,17 @@ def test_weights_mean_and_covariance_are_those_of_the_formulas(n_others, is_even
     assert nothing[0] == 0.0
     assert not np.any(nothing[1])
     assert not np.any(nothing[2])
+
+
+def test_colour_weight_mixes_places_and_colours():
+    """CF Eq. 4.19: a target in other clothes keeps the share 1 - weight of its likelihood, one without colours all."""
+    s = settings(tracker="sparse", n_samples=200, colour_weight=0.3)
+    frame, track, _ = body_track(s)
+    stranger = np.zeros(N_BINS, dtype=np.float32)
+    stranger[0] = 1.0
+    likelihood = [
+        estimate(track.but(histogram=histogram), np.zeros((0, 2)), frame, rng=RNG(1)).efficiency
+        for histogram in (None, stranger)
+    ]
+    assert likelihood[0] > 0.1
+    assert likelihood[1] == pytest.approx(0.7 * likelihood[0])

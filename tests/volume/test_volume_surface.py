@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -244,3 +246,20 @@ def test_a_body_hides_another_from_the_depth_buffer():
         visible, _ = visible_views(voxels, is_surface, GRID, two_cameras(), visibility)
         assert not visible[behind, 0].any()
         assert visible[behind & (GRID.subscripts(voxels)[:, 0] == 2), 1].all()
+
+
+def test_a_voxel_that_two_cameras_see_has_the_mean_colour():
+    dense = np.zeros(GRID.shape, dtype=bool)
+    dense[3:8, 4:10, 5:12] = True
+    voxels = np.flatnonzero(dense).astype(np.int32)
+    near = two_cameras()[0]
+    beside = dataclasses.replace(near, name="beside", t=near.t + np.array([0.05, 0.0, 0.0]))
+    images = [
+        np.full((30, 40, 3), (200, 10, 11), np.uint8),
+        np.full((30, 40, 3), (101, 30, 220), np.uint8),
+    ]
+    is_surface = surface_voxels(voxels, GRID)
+    hull = colour_hull(voxels, is_surface, GRID, CameraRig((near, beside)), images)
+    both = hull.n_views == 2
+    assert both.sum() > 20
+    np.testing.assert_array_equal(hull.rgb[both], np.tile([151, 20, 116], (both.sum(), 1)))

@@ -1,0 +1,109 @@
+"""Trial of mutants: planted one by one in a copy of the checkout, where their tests must fail."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from eval.mutants.registry import ROOT, Mutant
+
+_COPIED = ("mocap", "tests", "eval", "docs", "pyproject.toml", "CHANGELOG.md", "README.md", "Makefile")
+_TIMEOUT_S = 600  # a mutant that never ends is noticed too
+_OPTIONS = ("-q", "-x", "-n", "0", "-p", "no:cacheprovider", "--assert=plain")
+_LIBRARIES = ("numpy", "scipy.optimize", "scipy.stats", "numba", "cv2", "pytest", "hypothesis")
+
+
+def try_all(mutants: Iterable[Mutant], folder: Path) -> list[str]:
+    """Names of the mutants that no test noticed.  folder : an empty one.
+
+    Raises RuntimeError when tests fail without any mutant: they would prove nothing.
+    """
+    copy = folder / "copy"
+    copy.mkdir()
+    for name in _COPIED:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__", "out"))
+        elif (ROOT / name).is_file():
+            shutil.copy(ROOT / name, copy / name)
+    healthy: set[tuple[tuple[str, ...], bool]] = set()
+    survivors = []
+    for mutant in mutants:
+        key = (mutant.tests, mutant.is_compiled)
+        if key not in healthy:
+            if not passes(mutant, copy, folder):
+                raise RuntimeError(f"fails without any mutant: pytest {' '.join(mutant.tests)}")
+            healthy.add(key)
+        path = copy / mutant.file
+        text = path.read_text("utf-8")
+        path.write_text(text.replace(mutant.old, mutant.new), "utf-8")
+        is_alive = passes(mutant, copy, folder)
+        path.write_text(text, "utf-8")
+        print(f"{'SURVIVED' if is_alive else 'killed'}  {mutant.name}  {mutant.file}", flush=True)
+        if is_alive:
+            survivors.append(mutant.name)
+    return survivors
+
+
+def passes(mutant: Mutant, copy: Path, folder: Path) -> bool:
+    """Whether the mutant's tests pass in the copy as it is."""
+    code = _in_new_compiler(mutant, copy, folder) if mutant.is_compiled else _in_plain_python(mutant, copy)
+    if code not in (0, 1, None):
+        # Neither passed nor failed: nothing was collected, or a word of the command is wrong.
+        raise RuntimeError(f"pytest {' '.join(mutant.tests)} ended with {code}")
+    return code == 0
+
+
+def _in_plain_python(mutant: Mutant, copy: Path) -> int | None:
+    """Exit code of pytest without the compiler, None after the timeout; libraries are imported once for all mutants."""
+    os.environ["NUMBA_DISABLE_JIT"] = "1"
+    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    context: Any = multiprocessing.get_context(method)  # the common base of contexts knows no Process
+    context.set_forkserver_preload(list(_LIBRARIES))
+    process = context.Process(target=_run_pytest, args=(copy, mutant.tests))
+    process.start()
+    process.join(_TIMEOUT_S)
+    if process.is_alive():
+        process.kill()
+        process.join()
+        return None
+    return process.exitcode
+
+
+def _run_pytest(copy: Path, tests: tuple[str, ...]) -> None:
+    import pytest
+
+    os.chdir(copy)
+    sys.path.insert(0, str(copy))
+    sys.dont_write_bytecode = True
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 1)
+    os.dup2(silence, 2)
+    sys.exit(int(pytest.main([*_OPTIONS, *tests])))
+
+
+def _in_new_compiler(mutant: Mutant, copy: Path, folder: Path) -> int | None:
+    """Exit code of pytest with the compiler and a cache of its own: that of numba knows the file of a kernel, but not
+    those of the kernels it calls."""
+    cache = tempfile.mkdtemp(dir=folder)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(copy),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "NUMBA_CACHE_DIR": cache,
+        "NUMBA_DISABLE_JIT": "0",
+    }
+    command = [sys.executable, "-m", "pytest", *_OPTIONS, *mutant.tests]
+    try:
+        done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, timeout=_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        return None
+    finally:
+        shutil.rmtree(cache, ignore_errors=True)
+    return done.returncode
