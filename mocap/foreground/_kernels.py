@@ -8,6 +8,8 @@ infinity instead of an exception, whose test would keep the compiler from workin
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -211,22 +213,36 @@ def _whole_blocks(n):
     return (n + np.uint64(_BLOCK - 1)) // np.uint64(_BLOCK) * np.uint64(_BLOCK)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def shadow_test(
-    rows, background, y0, x0, w, candidate, half, darkest, brightest, chroma_pixel, chroma, least_chroma, edge, noise,
-    foreground, shadow,
-):  # fmt: skip
-    """Splits candidates: foreground = 1 or shadow = 1.
+class ShadowRule(NamedTuple):
+    """What makes a candidate a shadow.
 
-    rows, background : (H, 3 W) uint8.  candidate : (h, at least w) uint8, 0 or 1, columns a multiple of 8: the window
-    whose corner is (y0, x0), candidates only in its first w columns.  foreground, shadow : like candidate, 0 on
-    entry.
-    A candidate is a shadow when (a) its brightness ratio to the background lies in (darkest, brightest) and its own
-    colour residual is below chroma_pixel levels in every channel; (b) the mean residual of the pixels of (a) in the
-    square of 2 half + 1 about it stays below max(chroma * brightness of the shadowed background, least_chroma); (c)
-    the ratio changes by less than `edge` per pixel, or by less than `noise` levels. Then the majority of the
-    candidates in the same square decides.
+    (a) its brightness ratio to the background lies in (darkest, brightest) and its own colour residual is below
+    chroma_pixel levels in every channel; (b) the mean residual of the pixels of (a) in the square of 2 half + 1 about
+    it stays below max(chroma * brightness of the shadowed background, least_chroma); (c) the ratio changes by less
+    than `edge` per pixel, or by less than `noise` levels. Then the majority of the candidates in the same square
+    decides.
     """
+
+    half: int
+    darkest: float
+    brightest: float
+    chroma_pixel: float
+    chroma: float
+    least_chroma: float
+    edge: float
+    noise: float
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shadow_test(rows, background, place, candidate, rule, foreground, shadow):
+    """Splits candidates by a ShadowRule: foreground = 1 or shadow = 1.
+
+    rows, background : (H, 3 W) uint8.  place : (y0, x0, w), corner and width of the window.  candidate : (h, at least
+    w) uint8, 0 or 1, columns a multiple of 8: the window, candidates only in its first w columns.  foreground, shadow :
+    like candidate, 0 on entry.
+    """
+    y0, x0, w = place
+    half, darkest, brightest, chroma_pixel, chroma, least_chroma, edge, noise = rule
     h = candidate.shape[0]
     low, high = np.empty(h, np.int64), np.empty(h, np.int64)
     spans_of(candidate, low, high)

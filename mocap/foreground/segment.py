@@ -299,12 +299,18 @@ class Segmenter:
         _kernels.majority(candidate, solid)
         # The window averages noise, which small pictures have no less of.
         side = _odd(max(_scaled_px(s.shadow_window_px, self.shape), s.shadow_window_px))
-        _kernels.shadow_test(
-            rows, self._background, window.y0, window.x0, width, solid, side // 2,
-            s.shadow_darkest, s.shadow_brightest, max(s.shadow_chroma_pixel, 4.0 * self._noise),
-            s.shadow_chroma, max(s.shadow_chroma_least, 2.5 * self._noise * 2**0.5 / side),
-            s.shadow_edge, _EDGE_NOISE * self._noise, foreground, dark,
-        )  # fmt: skip
+        rule = _kernels.ShadowRule(
+            half=side // 2,
+            darkest=s.shadow_darkest,
+            brightest=s.shadow_brightest,
+            chroma_pixel=max(s.shadow_chroma_pixel, 4.0 * self._noise),
+            chroma=s.shadow_chroma,
+            least_chroma=max(s.shadow_chroma_least, 2.5 * self._noise * 2**0.5 / side),
+            edge=s.shadow_edge,
+            noise=_EDGE_NOISE * self._noise,
+        )
+        place = (window.y0, window.x0, width)
+        _kernels.shadow_test(rows, self._background, place, solid, rule, foreground, dark)
         shadow[window.slices] = dark[:, :width]
         # Specks in the shadow would be joined to the person by the closing.
         specks = _regions(foreground, _strong(largest, s), 1)

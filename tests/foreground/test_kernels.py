@@ -103,10 +103,9 @@ def test_shadow_test(seed: int, half: int) -> None:
     candidate = (far(image, background) > 6).astype(np.uint8)
     darkest, brightest, chroma_pixel, chroma, least, edge, noise = 0.5, 1.03, 8.0, 0.03, 2.0, 0.07, 2.5
     foreground, shadow = np.zeros((H, W), np.uint8), np.zeros((H, W), np.uint8)
-    kernels.shadow_test(
-        image.reshape(H, -1), background.reshape(H, -1), 0, 0, W, candidate, half,
-        darkest, brightest, chroma_pixel, chroma, least, edge, noise, foreground, shadow,
-    )  # fmt: skip
+    rule = kernels.ShadowRule(half, darkest, brightest, chroma_pixel, chroma, least, edge, noise)
+    rows, back = image.reshape(H, -1), background.reshape(H, -1)
+    kernels.shadow_test(rows, back, (0, 0, W), candidate, rule, foreground, shadow)
     i, b = image.astype(float), background.astype(float)
     square = (b * b).sum(axis=2) + 1
     ratio = (i * b).sum(axis=2) / square
@@ -133,12 +132,12 @@ def test_shadow_test_does_not_depend_on_where_the_window_lies() -> None:
     candidate = (far(image, background) > 6).astype(np.uint8)
     candidate[:, :12] = 0
     candidate[:, 48:] = 0
-    arguments = (2, 0.5, 1.03, 8.0, 0.03, 2.0, 0.07, 2.5)
+    rule = kernels.ShadowRule(2, 0.5, 1.03, 8.0, 0.03, 2.0, 0.07, 2.5)
     rows, back = image.reshape(H, -1), background.reshape(H, -1)
-    kernels.shadow_test(rows, back, 0, 0, W, candidate, *arguments, *whole)
+    kernels.shadow_test(rows, back, (0, 0, W), candidate, rule, *whole)
     part = np.zeros((2, H, 48), np.uint8)
     window = np.ascontiguousarray(candidate[:, 8:])
-    kernels.shadow_test(rows, back, 0, 8, 48, window, *arguments, *part)
+    kernels.shadow_test(rows, back, (0, 8, 48), window, rule, *part)
     np.testing.assert_array_equal(part, whole[:, :, 8:])
 
 
