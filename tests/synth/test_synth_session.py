@@ -261,6 +261,6 @@ def test_points_deeper_than_half_a_pixel_diagonal_are_in_every_silhouette(sessio
 
 def test_missing_embree_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "embreex", None)
-    with pytest.raises(MocapError, match=r"mocap\[synth\]"):
+    with pytest.raises(MocapError, match=r"mocap-volumes\[synth\]"):
         synthesise(_scene(), tmp_path / "s", workers=1)
     assert not (tmp_path / "s").exists()
