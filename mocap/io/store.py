@@ -132,20 +132,22 @@ class StageWriter:
         """
         if self._group is None:
             raise RuntimeError("append outside of `with store.writer(...)`")
-        if self._frames and frame <= self._frames[-1]:
-            raise ValueError(f"frame {frame} comes after frame {self._frames[-1]}; frames must ascend")
         if not self._frames:
             self._columns = {name: _ColumnWriter(name, np.asarray(a)) for name, a in arrays.items()}
-        elif arrays.keys() != self._columns.keys():
-            raise ValueError(f"frame {frame} has arrays {sorted(arrays)}, expected {sorted(self._columns)}")
-        checked = {name: self._columns[name].check(np.asarray(a), frame) for name, a in arrays.items()}
-        for name, array in checked.items():
+        for name, array in self._checked(frame, arrays).items():
             self._columns[name].add(array)
             self._n_buffered_bytes += array.nbytes
         self._frames.append(int(frame))
         self._n_buffered += 1
         if self._n_buffered >= BUFFER_FRAMES or self._n_buffered_bytes > _BUFFER_BYTES:
             self._flush(is_last=False)
+
+    def _checked(self, frame: int, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        if self._frames and frame <= self._frames[-1]:
+            raise ValueError(f"frame {frame} comes after frame {self._frames[-1]}; frames must ascend")
+        if arrays.keys() != self._columns.keys():
+            raise ValueError(f"frame {frame} has arrays {sorted(arrays)}, expected {sorted(self._columns)}")
+        return {name: self._columns[name].check(np.asarray(a), frame) for name, a in arrays.items()}
 
     def describe(self, attrs: dict[str, Any]) -> None:
         """Add attributes, which may only be known at the end. Raises TypeError for what is no plain JSON."""

@@ -7,16 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap.body import skeleton_of
-from mocap.data import Hull
+from mocap.data import Hull, Motion
 from mocap.errors import MocapError
 from mocap.io import formats
 from mocap.io._files import writing
 from mocap.io.formats import voxels
 from mocap.io.store import StageStore
 from mocap.pipeline.tracking import every_frame
-from mocap.pose.result import motion_of
+from mocap.pose.result import PersonPoses, motion_of
 from mocap.products import poses as poses_product
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
 from mocap.products.one_run import check_one_run
@@ -99,24 +100,27 @@ def _export_motion(
         if not keep.any():
             continue
         path = folder / f"person_{poses.person}.{format}"
-        if format in ("bvh", "glb"):
-            states = every_frame(poses.frames[keep], poses.states[keep])
-            skeleton = skeleton_of(poses.body, states, poses.person)
-            (formats.write_bvh if format == "bvh" else formats.write_glb)(path, skeleton, fps)
-        else:
-            motion = motion_of(poses, fps)
-            motion = type(motion)(
-                motion.person, motion.frames[keep], motion.time_s[keep], motion.landmarks[keep]
-            )
-            (formats.write_trc if format == "trc" else formats.write_c3d)(path, motion, fps)
+        _write_person(path, format, poses, keep, fps)
         written.append(path)
         progress("export", i + 1, len(people))
+    if not people:
+        raise MocapError("the run has found no person", remedy="look at its report.html")
     if not written:
-        seen = np.concatenate([p.frames for p in people]) if people else np.zeros(0, dtype=np.int64)
-        if len(seen) == 0:
-            raise MocapError("the run has found no person", remedy="look at its report.html")
+        seen = np.concatenate([p.frames for p in people])
         raise _no_frames(frames, int(seen.min()), int(seen.max()))
     return written
+
+
+def _write_person(path: Path, format: str, poses: PersonPoses, keep: NDArray[np.bool_], fps: float) -> None:
+    """One person in the frames to keep, (T,)."""
+    if format in ("bvh", "glb"):
+        states = every_frame(poses.frames[keep], poses.states[keep])
+        skeleton = skeleton_of(poses.body, states, poses.person)
+        (formats.write_bvh if format == "bvh" else formats.write_glb)(path, skeleton, fps)
+        return
+    motion = motion_of(poses, fps)
+    kept = Motion(motion.person, motion.frames[keep], motion.time_s[keep], motion.landmarks[keep])
+    (formats.write_trc if format == "trc" else formats.write_c3d)(path, kept, fps)
 
 
 def _is_in(frame: int, frames: Frames | None) -> bool:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from mocap.pipeline.figures import run_figures, silhouette_numbers
 from mocap.pipeline.panels import frame_panels
-from mocap.pipeline.record import OUTPUTS, RunRecord, RunResult, printable
+from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, printable
 from mocap.view import REPORT_SCORES, ReportData, write_report
 
 OUTPUT_WORDS = {
@@ -30,22 +31,8 @@ def write_run_report(result: RunResult, path: Path) -> None:
     record, found = result.record, result.found
     session = found.session
     n = len(session.frames)
-    outputs = []
-    for name in sorted({"run.json", found.store.path.name, *(p.name for p in path.parent.iterdir())}):
-        words = OUTPUT_WORDS.get(name) or OUTPUT_WORDS.get(Path(name).suffix)
-        if words and not name.startswith("."):
-            outputs.append((name, words))
     scores = record.scores or {}
-    height = ", ".join(f"person {p.person}: {p.body.height_m:.2f} m" for p in found.poses)
-    summary = [
-        ("Cameras", ", ".join(session.rig.names)),
-        ("Frames", f"{session.frames.start} to {session.frames.stop - 1} at {session.fps:g} frames/s"),
-        ("Body height", height or "no person"),
-        *_observation_words(record),
-        *_motion_words(record),
-        ("Pose filter", _filter_words(record)),
-        ("Seed", str(record.seed)),
-    ]
+    names = {"run.json", found.store.path.name, *(p.name for p in path.parent.iterdir())}
     data = ReportData(
         title=f"Motion capture: {record.session}",
         session=record.session,
@@ -55,7 +42,7 @@ def write_run_report(result: RunResult, path: Path) -> None:
         n_cameras=len(session.rig),
         fps=session.fps,
         warnings=record.warnings,
-        summary=tuple(summary),
+        summary=tuple(_summary(record, found)),
         scores={k: scores[k] for k in REPORT_SCORES if k in scores} or None,
         per_landmark_mm=scores.get("per_landmark_mm"),
         timings={
@@ -65,7 +52,7 @@ def write_run_report(result: RunResult, path: Path) -> None:
         },
         figures=tuple(run_figures(record, found)),
         frames=tuple(frame_panels(found, record.config.output)),
-        outputs=tuple(outputs),
+        outputs=tuple(_output_words(names)),
         command=record.command
         or printable(f"mocap run {session.name} -o {result.out.name} --seed {record.seed}"),
         config_text=json.dumps(record.config.model_dump(mode="json"), indent=1),
@@ -73,6 +60,28 @@ def write_run_report(result: RunResult, path: Path) -> None:
         silhouettes=silhouette_numbers(record, found),
     )
     write_report(path, data)
+
+
+def _output_words(names: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """What lies in the folder, with what it is."""
+    for name in sorted(names):
+        words = OUTPUT_WORDS.get(name) or OUTPUT_WORDS.get(Path(name).suffix)
+        if words and not name.startswith("."):
+            yield name, words
+
+
+def _summary(record: RunRecord, found: Found) -> list[tuple[str, str]]:
+    """The first table of the report."""
+    height = ", ".join(f"person {p.person}: {p.body.height_m:.2f} m" for p in found.poses)
+    return [
+        ("Cameras", ", ".join(record.cameras)),
+        ("Frames", f"{record.frames.start} to {record.frames.stop - 1} at {record.fps:g} frames/s"),
+        ("Body height", height or "no person"),
+        *_observation_words(record),
+        *_motion_words(record),
+        ("Pose filter", _filter_words(record)),
+        ("Seed", str(record.seed)),
+    ]
 
 
 def _motion_words(record: RunRecord) -> list[tuple[str, str]]:

@@ -141,45 +141,17 @@ def _publish(
     command: str,
 ) -> RunResult:
     """Score what was found and write the outputs, which take the place of all those of an earlier run."""
-    session, config = job.session, job.config
-    keys = {stage.name: stage.key for stage, _ in steps}
     scores, unscored = _scores(found) if until in _WITH_POSES else (None, [])
+    is_whole = until == OUTPUTS
     started = time.perf_counter()
     with published(out) as folder:
         write_tables(found, folder, has_poses=until in _WITH_POSES)
-        left_out = write_exports(found, config, folder, progress=job.progress) if until == OUTPUTS else []
-        warnings = (
-            *session.warnings,
-            *(w for _, report in steps for w in report.warnings),
-            *unscored,
-            *left_out,
-        )
-        record = RunRecord(
-            session=printable(session.name),
-            kind=found.kind,
-            until=until,
-            command=printable(command),
-            frames=session.frames,
-            fps=session.fps,
-            cameras=session.rig.names,
-            seed=job.seed,
-            config=config,
-            code=code_hash(),
-            stages=tuple(stage for stage, _ in steps),
-            product_keys={
-                product: keys[stage.name]
-                for stage in stages_until(found.kind, until)
-                for product in stage.products
-            },
-            warnings=tuple(dict.fromkeys(printable(w) for w in warnings)),
-            scores=scores,
-            versions=versions(),
-        )
-        if until == OUTPUTS and "report" in config.output.formats:
-            failed = written_or_why(
-                folder / "report.html", partial(write_run_report, RunResult(record, out, found))
-            )
-            record = replace(record, warnings=(*record.warnings, *failed))
+        left_out = write_exports(found, job.config, folder, progress=job.progress) if is_whole else []
+        record = _record(job, found, steps, until=until, command=command, scores=scores)
+        record = _warning(record, [*unscored, *left_out])
+        if is_whole and "report" in job.config.output.formats:
+            write = partial(write_run_report, RunResult(record, out, found))
+            record = _warning(record, written_or_why(folder / "report.html", write))
         files = {*(path.name for path in folder.iterdir()), RUN_FILE}
         record = replace(
             record,
@@ -190,6 +162,44 @@ def _publish(
         )
         atomic_text(folder / RUN_FILE, json.dumps(record_to_json(record), indent=1) + "\n")
     return RunResult(record, out, found)
+
+
+def _record(
+    job: Job,
+    found: Found,
+    steps: Sequence[tuple[StageRecord, StageReport]],
+    *,
+    until: str,
+    command: str,
+    scores: dict[str, Any] | None,
+) -> RunRecord:
+    """What is known of the run when its stages are done."""
+    session = job.session
+    products = {stage.name: stage.products for stage in stages_until(found.kind, until)}
+    record = RunRecord(
+        session=printable(session.name),
+        kind=found.kind,
+        until=until,
+        command=printable(command),
+        frames=session.frames,
+        fps=session.fps,
+        cameras=session.rig.names,
+        seed=job.seed,
+        config=job.config,
+        code=code_hash(),
+        stages=tuple(stage for stage, _ in steps),
+        product_keys={product: stage.key for stage, _ in steps for product in products[stage.name]},
+        warnings=(),
+        scores=scores,
+        versions=versions(),
+    )
+    return _warning(record, [*session.warnings, *(w for _, report in steps for w in report.warnings)])
+
+
+def _warning(record: RunRecord, warnings: Sequence[str]) -> RunRecord:
+    """The record with more warnings, each once."""
+    every = (*record.warnings, *(printable(w) for w in warnings))
+    return replace(record, warnings=tuple(dict.fromkeys(every)))
 
 
 def _scores(found: Found) -> tuple[dict[str, Any] | None, list[str]]:

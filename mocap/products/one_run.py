@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from mocap.errors import MocapError
@@ -16,23 +17,18 @@ def check_one_run(out: Path, *needed: str) -> None:
     without a store holds nothing that could be mixed up.
     needed : products that must be the run's own.
     """
-    store = StageStore(out / "store.zarr")
-    try:
-        keys = dict(json.loads((out / "run.json").read_text(encoding="utf-8"))["product_keys"])
-    except FileNotFoundError as error:
-        if needed:
-            raise MocapError(
-                "the folder holds no result of a run",
-                path=out,
-                remedy="run `mocap run SESSION -o OUT` first, to its end",
-            ) from error
-        return
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    keys = _product_keys(out)
+    if keys is None and needed:
         raise MocapError(
-            "run.json does not say which products the run was made from",
-            path=out / "run.json",
-            remedy="run `mocap run SESSION -o OUT` again with this version",
-        ) from error
+            "the folder holds no result of a run",
+            path=out,
+            remedy="run `mocap run SESSION -o OUT` first, to its end",
+        )
+    if keys is not None:
+        _check_products(out, keys, needed)
+
+
+def _check_products(out: Path, keys: dict[str, str], needed: Sequence[str]) -> None:
     missing = [product for product in needed if product not in keys]
     if missing:
         raise MocapError(
@@ -40,11 +36,29 @@ def check_one_run(out: Path, *needed: str) -> None:
             path=out,
             remedy="finish it with `mocap run SESSION -o OUT --resume`",
         )
+    store = StageStore(out / "store.zarr")
+    if not needed and not store.path.is_dir():
+        return
     others = [product for product, key in keys.items() if not store.is_complete(product, key)]
-    if others and (needed or store.path.is_dir()):
+    if others:
         raise MocapError(
             f"the store is not that of the tables beside it: {', '.join(others)} of the run in run.json is gone, "
             "because another run began in this folder and did not end",
             path=store.path,
             remedy="run `mocap run SESSION -o OUT --resume` to its end, with the settings that you want",
         )
+
+
+def _product_keys(out: Path) -> dict[str, str] | None:
+    """Product -> key that the run was made from, None without a run."""
+    try:
+        about = json.loads((out / "run.json").read_text(encoding="utf-8"))
+        return {str(product): str(key) for product, key in about["product_keys"].items()}
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise MocapError(
+            "run.json does not say which products the run was made from",
+            path=out / "run.json",
+            remedy="run `mocap run SESSION -o OUT` again with this version",
+        ) from error

@@ -12,6 +12,7 @@ from mocap.data import Hull, VoxelGrid
 from mocap.errors import MocapError
 from mocap.foreground.pixels import sample_silhouettes
 from mocap.io.session import Session
+from mocap.io.store import StageReader
 from mocap.pipeline.config import Config
 from mocap.pipeline.stage import (
     Ending,
@@ -198,13 +199,8 @@ def carve_report(job: Job) -> StageReport:
         )
     elif empty > _EMPTY_SHARE:
         warnings.append(f"the volume is empty in {empty:.0%} of the frames")
-    faults, names = stored_faults(job.store), list(reader.attrs["cameras"])
-    used = np.array([arrays["used"] for _, arrays in reader]) if faults else np.ones((0, 0), dtype=np.bool_)
-    for fault in faults:
-        inside = (reader.frames >= fault.first_frame) & (reader.frames <= fault.last_frame)
-        is_out = fault.camera in names and not used[inside, names.index(fault.camera)].any()
-        what = "; it is left out of the volume there" if is_out else ""
-        warnings.append(f"{fault.message}{what}. Remedy: {_REMEDIES[fault.kind]}")
+    faults = stored_faults(job.store)
+    warnings += _fault_warnings(faults, reader)
     litres = sizes * grid.voxel_size_m**3 * 1000.0
     return StageReport(
         tuple(warnings),
@@ -215,6 +211,21 @@ def carve_report(job: Job) -> StageReport:
             "camera_faults": len(faults),
         },
     )
+
+
+def _fault_warnings(faults: Sequence[CameraFault], reader: StageReader) -> list[str]:
+    """What is wrong with cameras, and whether they were left out."""
+    if not faults:
+        return []
+    names = list(reader.attrs["cameras"])
+    used = np.array([arrays["used"] for _, arrays in reader])
+    warnings = []
+    for fault in faults:
+        inside = (reader.frames >= fault.first_frame) & (reader.frames <= fault.last_frame)
+        is_out = fault.camera in names and not used[inside, names.index(fault.camera)].any()
+        what = "; it is left out of the volume there" if is_out else ""
+        warnings.append(f"{fault.message}{what}. Remedy: {_REMEDIES[fault.kind]}")
+    return warnings
 
 
 CARVE = Stage(

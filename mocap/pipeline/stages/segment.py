@@ -49,51 +49,53 @@ def learn_backgrounds(session: Session, config: SegmentationConfig, warnings: li
     Raises MocapError when there is nothing to learn from, saying how to help.
     """
     backgrounds = []
-    n_frames = len(session.frames)
     for camera in session.rig:
-        source = config.background
-        if source == "auto":
-            source = "clip" if camera.name in session.background_sources else "median"
-        if source == "clip":
-            if camera.name not in session.background_sources:
-                raise MocapError(
-                    "there is no clip of the empty scene",
-                    camera=camera.name,
-                    path=session.root / "background",
-                    remedy="record one, or set segmentation.background to median or first",
-                )
-            clip = iter_clip(session.background_sources[camera.name], size=camera.size, camera=camera.name)
-            background = learn_background(clip)
-        else:
-            if n_frames < 3:
-                raise MocapError(
-                    f"no background to learn from: {n_frames} frame(s) and no background/ folder",
-                    camera=camera.name,
-                    path=session.root,
-                    remedy="add pictures of the empty scene as background/CAMERA.png, or masks/CAMERA/*.png",
-                )
-            clip = iter_clip(session.image_sources[camera.name], size=camera.size, camera=camera.name)
-            clip = islice(clip, session.frames.start, session.frames.stop)
-            if source == "first":
-                background = learn_background(islice(clip, config.first_frames))
-            else:
-                step = max(1, n_frames // config.median_frames)
-                background = median_background(islice(clip, 0, None, step))
+        background = _background_of(camera, session, config)
         warnings += [f"camera {camera.name}: {w}" for w in background.warnings]
         backgrounds.append(background)
-    if config.background in ("auto", "median"):
-        missing = [
-            c.name
-            for c in session.rig
-            if config.background == "median" or c.name not in session.background_sources
-        ]
-        if missing:
-            warnings.append(
-                f"the background of {', '.join(missing)} was learnt as the temporal median of {n_frames} frames; a "
-                "person who stays in place, or a short clip, is lost this way. Remedy: record an empty scene as "
-                "background/CAMERA.mp4"
-            )
+    median = [c.name for c in session.rig if _background_source(c, session, config) == "median"]
+    if median:
+        warnings.append(
+            f"the background of {', '.join(median)} was learnt as the temporal median of {len(session.frames)} frames; "
+            "a person who stays in place, or a short clip, is lost this way. Remedy: record an empty scene as "
+            "background/CAMERA.mp4"
+        )
     return backgrounds
+
+
+def _background_source(camera: Camera, session: Session, config: SegmentationConfig) -> str:
+    """clip, first or median."""
+    if config.background != "auto":
+        return config.background
+    return "clip" if camera.name in session.background_sources else "median"
+
+
+def _background_of(camera: Camera, session: Session, config: SegmentationConfig) -> Background:
+    source = _background_source(camera, session, config)
+    if source == "clip":
+        if camera.name not in session.background_sources:
+            raise MocapError(
+                "there is no clip of the empty scene",
+                camera=camera.name,
+                path=session.root / "background",
+                remedy="record one, or set segmentation.background to median or first",
+            )
+        return learn_background(
+            iter_clip(session.background_sources[camera.name], size=camera.size, camera=camera.name)
+        )
+    n_frames = len(session.frames)
+    if n_frames < 3:
+        raise MocapError(
+            f"no background to learn from: {n_frames} frame(s) and no background/ folder",
+            camera=camera.name,
+            path=session.root,
+            remedy="add pictures of the empty scene as background/CAMERA.png, or masks/CAMERA/*.png",
+        )
+    clip = iter_clip(session.image_sources[camera.name], size=camera.size, camera=camera.name)
+    clip = islice(clip, session.frames.start, session.frames.stop)
+    if source == "first":
+        return learn_background(islice(clip, config.first_frames))
+    return median_background(islice(clip, 0, None, max(1, n_frames // config.median_frames)))
 
 
 @dataclass(frozen=True, eq=False)
