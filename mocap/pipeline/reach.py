@@ -81,9 +81,10 @@ def _file_of(module: str) -> Path | None:
 
 
 def _hash_of(files: list[Path]) -> str:
-    digest = hashlib.sha256()
-    for path in files:
-        content = path.read_bytes()
-        digest.update(f"{path.relative_to(_ROOT).as_posix()} {len(content)} ".encode())
-        digest.update(content)
-    return digest.hexdigest()[:16]
+    named = "".join(f"{path.relative_to(_ROOT).as_posix()} {_file_hash(path)} " for path in files)
+    return hashlib.sha256(named.encode()).hexdigest()[:16]
+
+
+@cache
+def _file_hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

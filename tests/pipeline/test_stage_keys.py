@@ -21,7 +21,7 @@ from mocap.data import Camera, CameraRig
 from mocap.io.calibration import write_calibration
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
-from mocap.pipeline import inputs, keys
+from mocap.pipeline import inputs, keys, reach
 from mocap.pipeline.chains import CHAINS
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.inputs import FileHashes
@@ -247,12 +247,8 @@ def test_only_reached_code_and_its_data_are_in_the_hash(
     monkeypatch.setattr("mocap.pipeline.reach._ROOT", root)
 
     def digest() -> str:
-        for cached in (reached_from, code_hash_of):
+        for cached in (reached_from, code_hash_of, reach._imports_of, reach._file_of, reach._file_hash):
             cached.cache_clear()
-        from mocap.pipeline import reach
-
-        reach._imports_of.cache_clear()
-        reach._file_of.cache_clear()
         return code_hash_of("mocap.a.one")
 
     try:
