@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
+from collections.abc import Callable
 from pathlib import Path
-
-import numpy as np
 
 from mocap.body import Body, build_look_up_table, load_body_model, scale_body
 from mocap.body.initial import DEFAULT_HEIGHT_M
@@ -14,6 +11,7 @@ from mocap.body.markers import load_marker_set, place_markers
 from mocap.errors import MocapError
 from mocap.io.session import Session
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
+from mocap.io.truth import read_true_voxels
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose_settings import check_filter
 from mocap.pipeline.publish import check_replaceable
@@ -95,37 +93,18 @@ def _memory_bytes() -> float:
     return float(total_memory_bytes() or _USUAL_MEMORY_BYTES)
 
 
+_TRUTH: dict[str, Callable[[Path], object]] = {
+    "landmarks.csv": read_landmarks_csv,
+    "tracks.csv": read_tracks_csv,
+    "voxels.npz": read_true_voxels,
+}
+
+
 def check_truth(session: Session) -> None:
     """The truth that the result will be scored against can be read. Raises MocapError."""
-    folder = session.truth_dir
-    if folder is None:
-        return
-    try:
-        if (folder / "landmarks.csv").exists():
-            read_landmarks_csv(folder / "landmarks.csv")
-        if (folder / "tracks.csv").exists():
-            read_tracks_csv(folder / "tracks.csv")
-        if (folder / "voxels.npz").exists():
-            with (
-                (folder / "voxels.npz").open("rb") as stream,
-                np.load(stream, allow_pickle=False) as archive,
-            ):
-                for name in ("shape", "origin_m", "voxel_size_m", "offsets", "voxels"):
-                    archive[name]
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        ArithmeticError,
-        EOFError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise MocapError(
-            f"the truth of the session cannot be read: {error}",
-            path=folder,
-            remedy="mend it, or move the folder truth/ away; the result is then not scored",
-        ) from error
+    for name, read in _TRUTH.items():
+        if session.truth_dir is not None and (session.truth_dir / name).exists():
+            read(session.truth_dir / name)
 
 
 def check_out(out: Path, session: Session) -> None:
