@@ -29,7 +29,7 @@ RESULTS = ROOT / "eval" / "results" / "pose_sessions.csv"
 PAGE = ROOT / "docs" / "results.md"
 
 # *_final: persons, rigs and seeds made after the settings were chosen. *_test: held out from the choice of
-# settings, but walk_test showed a loss of the legs that led to the rescue of lost poses; from jog_test on, no pose had
+# settings, but walk_test showed a loss of the legs that led to restarts of lost poses; from jog_test on, no pose had
 # ever been looked for in them while the settings were chosen.
 SCENES = (
     "walk_final",
@@ -153,7 +153,7 @@ of frames in which a wrist lies more than 150 mm away.
 - Scenes `*_final` were made after the settings were chosen; nothing was chosen on them. But after their first run the
   pose stage was changed three times, for other reasons: the first-pose search was made cheaper, then harder for very
   short clips, and the trial of two facing hypotheses was changed. `*_test` were held out from the choice of settings,
-  but were looked at: a loss of the legs in `walk_test` led to the rescue of lost poses, a wrong facing direction of
+  but were looked at: a loss of the legs in `walk_test` led to restarts of lost poses, a wrong facing direction of
   `reference` in `gesture_test` (345 mm, seed 0) to the present trial. The rows are of the code after all this
   (and that wrong direction is back in one of two seeds).
 - `dev:*` are realistic sessions that are not of our own making; they are not part of the repository and served as

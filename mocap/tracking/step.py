@@ -23,7 +23,7 @@ _FILTERS = {"naive": naive, "particle": particle, "sparse": sparse}
 def track_step(
     state: TrackerState, observation: FrameVoxels, settings: TrackerSettings, *, rng: np.random.Generator
 ) -> tuple[TrackerState, TrackInfo]:
-    """One frame of a tracker: predict, filter, share the voxels out, and let every track live on.
+    """One frame of a tracker: predict, filter, share the voxels out, and advance the life of every track.
 
     observation : of a frame later than the last one; frames in between that are missing age the tracks.
     Returns the new state and the info of the frame.  Source: CF 4.2-4.3.

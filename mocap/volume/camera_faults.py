@@ -225,8 +225,8 @@ def _odd_stretches(unexplained: Array, usual: float) -> Iterator[tuple[int, int,
         ):
             continue
         # Before the first movement a lag cannot be seen: then it counts as having been there from the start.
-        told = np.isfinite(unexplained[:first, min(inside[0], 2 * in_time)]) & known[:first]
-        if first and (cost[:first, inside[0]] - cost[:first, in_time])[told].sum() <= 0.5 * _CHANGE_PRICE:
+        is_known = np.isfinite(unexplained[:first, min(inside[0], 2 * in_time)]) & known[:first]
+        if first and (cost[:first, inside[0]] - cost[:first, in_time])[is_known].sum() <= 0.5 * _CHANGE_PRICE:
             first, inside = 0, np.concatenate([np.full(first, inside[0]), inside])
         yield first, stop, inside
 
@@ -413,8 +413,8 @@ def _background_stands(evidence: SilhouetteEvidence, c: int, first: int, stop: i
     begin, end = int(evidence.frames[first]), int(evidence.frames[stop - 1])
     inside = [s for s in shots[1:] if begin <= s.frame <= end]
     shifts = [background_shift(shots[0], s, c) for s in inside[:: max(1, len(inside) // _N_LOOKS)]]
-    told = [float(np.hypot(*shift)) <= _MOVED_CELLS for shift in shifts if shift is not None]
-    return len(told) >= 2 and all(told)
+    stands = [float(np.hypot(*shift)) <= _MOVED_CELLS for shift in shifts if shift is not None]
+    return len(stands) >= 2 and all(stands)
 
 
 def _first_jump(evidence: SilhouetteEvidence, c: int, first: int, last: int) -> int:
