@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.model import Body
-
-Array = NDArray[np.float64]
 
 _N_STEPS = 12
 _SMALL_STEP = 1e-10

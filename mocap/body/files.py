@@ -6,13 +6,9 @@ import json
 import math
 from collections.abc import Iterable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mocap.arrays import Array
 from mocap.body.model import Body, BodyModel, JointSpec, PartSpec
 from mocap.data.motion import LANDMARKS
-
-Array = NDArray[np.float64]
 
 _DIGITS = 6  # of fractions of the height: some micrometres
 _HEIGHT_DIGITS = 4

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body._kernels import cones_on_lattice
 from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

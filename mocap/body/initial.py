@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.kinematics import cones_of, neutral_state
 from mocap.body.model import Body
-
-Array = NDArray[np.float64]
 
 # A hull whose top stays below this is a child, or a person who sits, crouches or lies: unless it is as slender as
 # somebody who stands, no height can be read from it.

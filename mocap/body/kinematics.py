@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body._kernels import chain_axes, transforms_kernel
 from mocap.body.model import Body
 from mocap.data.skeleton import Skeleton
 from mocap.geometry.rigid import matrix_from_twist
-
-Array = NDArray[np.float64]
 
 
 def joint_transforms(body: Body, states: Array) -> tuple[Array, Array]:

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from mocap.arrays import Array
 from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
 from mocap.errors import MocapError
 from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
-
-Array = NDArray[np.float64]
 
 _FOLDER = "marker_sets"
 

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, ValidationError
 
+from mocap.arrays import Array
 from mocap.body._kernels import BodyArrays, Chain, ConeArrays
 from mocap.data.motion import LANDMARKS
 from mocap.data.problem import StateLayout
 from mocap.errors import MocapError
 from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
-
-Array = NDArray[np.float64]
 
 MAX_PARTS = 24  # the likelihood keeps one bit per part beside each voxel's byte
 _AXES = {"x": 0, "y": 1, "z": 2}

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.kinematics import cones_of, landmarks_of, neutral_state
 from mocap.body.model import Body, Cones
 from mocap.data.motion import LANDMARKS
-
-Array = NDArray[np.float64]
 
 
 def segment_groups(body: Body) -> NDArray[np.int64]:

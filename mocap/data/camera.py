@@ -9,10 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.geometry.epipolar import fundamental_matrix
 from mocap.geometry.projection import project_points, rays_from_pixels
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data.camera import Camera, CameraRig
 
-Array = NDArray[np.float64]
 DepthMap = NDArray[np.float32]
 
 

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mocap.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-Array = NDArray[np.float64]
+from mocap.arrays import Array
 
 _SURE = 8.5  # deviations: the distribution function is 1 to the last digit
 

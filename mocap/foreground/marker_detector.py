@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from mocap.arrays import Array, Image
 
 _QUANTISATION_STD = 1.5  # of 8-bit chroma after compression: a learnt colour is never sharper
 _TRIM = 3.0  # robust standard deviations beyond which a labelled pixel is no marker

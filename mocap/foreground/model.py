@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Image
 from mocap.foreground import _kernels
-
-Image = NDArray[np.uint8]
 
 MAX_SAMPLES = 31  # pictures kept in memory; more improve neither mean nor spread noticeably
 STD_FLOOR = 1.2  # levels; compression freezes flat regions, their measured spread is 0

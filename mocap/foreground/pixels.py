@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Mask
 from mocap.data.pixels import SilhouettePixels, lattice_step
-
-Mask = NDArray[np.bool_]
 
 
 def sample_silhouettes(

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Mask = NDArray[np.bool_]
-Array = NDArray[np.float64]
+from mocap.arrays import Array, Mask
+
 Triple = tuple[Sequence[Mask], Sequence[Mask], Sequence[Mask]]
 
 # Limits above which a number earns advice.

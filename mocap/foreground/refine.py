@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
+from mocap.arrays import Image, Mask
 
 _MARGIN_PX = 24  # picture beyond the uncertain band that GrabCut learns the surroundings from
 

@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Image, Mask
 from mocap.foreground import _kernels
 from mocap.foreground.model import Background
 
-Image = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 
 METHODS = ("gaussian", "mog2", "knn")

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mocap.arrays import Array
 
 
 def fundamental_matrix(K_a: Array, R_a: Array, t_a: Array, K_b: Array, R_b: Array, t_b: Array) -> Array:

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mocap.arrays import Array
 
 # Nearest depth that projects. Closer points are numerically at the optical centre.
 MIN_DEPTH_M = 1e-6

@@ -7,10 +7,9 @@ because the kinematic chains of the body are written with it.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
+from mocap.arrays import Array
 
 
 def matrix_from_rotation_vector(rotation_vector: Array) -> Array:

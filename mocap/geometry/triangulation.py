@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.geometry.epipolar import epipolar_lines
-
-Array = NDArray[np.float64]
 
 _SINGULAR = (
     1e-10  # determinant over the product of the diagonal: rays less than a thousandth of a degree apart

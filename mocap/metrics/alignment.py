@@ -7,11 +7,9 @@ no part in the fit.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data import LANDMARKS
-
-Array = NDArray[np.float64]
 
 _MIN_POINTS = 3  # fewer points fix no rotation
 

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data import LANDMARKS
 from mocap.geometry.rigid import wrap_angle
 from mocap.metrics.points import point_errors, torso_rotation, unit
-
-Array = NDArray[np.float64]
 
 # name of the angle -> landmarks it depends on besides the trunk's (pelvis, neck and one pair)
 ANGLES: dict[str, tuple[str, ...]] = {

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data import CameraRig
 from mocap.metrics.points import PointScores, point_scores
-
-Array = NDArray[np.float64]
 
 EPSILON_PX = 10.0
 

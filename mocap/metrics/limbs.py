@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array, Mask
 from mocap.data import VoxelGrid
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _POINTS_PER_BONE = 9
 _INNER = (0.1, 0.9)  # ends of a bone lie at joints, which the neighbour's flesh fills too

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data import LANDMARKS
-
-Array = NDArray[np.float64]
 
 MIN_FRACTION = 0.5  # epsilon is searched where at least this share of the errors lies below it
 MAX_CANDIDATES = 256  # evenly spaced ranks; enough that the optimum moves by less than 0.2 % of the data

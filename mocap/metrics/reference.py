@@ -17,11 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data import LANDMARKS
 from mocap.metrics.angles import joint_angles
 from mocap.metrics.points import torso_rotation, unit
-
-Array = NDArray[np.float64]
 
 # Segment end -> its start, parents first; the starts of the first five hang on the trunk.
 SEGMENTS: dict[str, str] = {

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data import Tracks
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

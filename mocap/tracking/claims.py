@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array, Indices
 from mocap.tracking import _kernels
 from mocap.tracking.colour import N_BINS, banded_histogram, bhattacharyya, colour_bins
 from mocap.tracking.features import (
@@ -24,8 +25,6 @@ from mocap.tracking.features import (
 from mocap.tracking.state import COASTING, RANK, TENTATIVE, Track, TrackerSettings
 from mocap.tracking.voxels import FrameVoxels
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Histogram = NDArray[np.floating]
 
 MIN_HEIGHT_M = 0.3  # an ellipsoid stands on the floor; below 30 cm of centroid height it would hold nobody

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.tracking import _kernels
-
-Array = NDArray[np.float64]
 
 BODY_DENSITY_KG_PER_LITRE = 1.1  # rho of CF Table 4.1
 

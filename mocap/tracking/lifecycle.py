@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.tracking import motion
 from mocap.tracking.claims import Claim, Frame, Histogram, claim_of, likeness
 from mocap.tracking.colour import adapt
@@ -30,7 +30,6 @@ from mocap.tracking.state import (
     TrackerState,
 )
 
-Array = NDArray[np.float64]
 Start = Callable[[Track, Frame, Claim], Track]
 
 _USUAL_RATE = 0.1  # of the running means of weight and height

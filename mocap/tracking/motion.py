@@ -7,9 +7,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.tracking.state import Track, TrackerSettings
-
-Array = NDArray[np.float64]
 
 FADE_S = 0.6  # people turn and stop: a velocity says little about what follows after a second
 ACCELERATION = 3.0  # power of the white acceleration, m^2/s^3: a person stops from 1.4 m/s within about 0.6 s

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.tracking import _kernels
 from mocap.tracking.claims import MIN_HEIGHT_M, Claim, Frame
 from mocap.tracking.state import Track
-
-Array = NDArray[np.float64]
 
 
 def start(track: Track, frame: Frame, claim: Claim, *, rng: np.random.Generator) -> Track:

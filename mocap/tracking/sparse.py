@@ -10,12 +10,11 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.tracking import _kernels
 from mocap.tracking.claims import Claim, Frame
 from mocap.tracking.colour import N_BINS, similar_threshold
 from mocap.tracking.state import Track
-
-Array = NDArray[np.float64]
 
 WALK_STEPS = 26  # steps in which a sample whose voxel is taken looks for an empty one
 

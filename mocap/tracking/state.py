@@ -7,12 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap.arrays import Array, Indices
 from mocap.tracking.features import PERSON_TREE, BlobFeatures, Split
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 TRACKERS = ("naive", "particle", "sparse")
 DEFAULT_SAMPLES = {"naive": 0, "particle": 100, "sparse": 800}

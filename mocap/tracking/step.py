@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data import Tracks
 from mocap.tracking import motion, naive, particle, sparse
 from mocap.tracking.claims import Claim, Frame, claim_voxels, frame_of
 from mocap.tracking.lifecycle import advance_lives
 from mocap.tracking.state import TENTATIVE, Track, TrackerSettings, TrackerState, TrackInfo
 from mocap.tracking.voxels import FrameVoxels
-
-Array = NDArray[np.float64]
 
 _FILTERS = {"naive": naive, "particle": particle, "sparse": sparse}
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mocap.arrays import Array
 from mocap.data import VoxelGrid
 from mocap.tracking import _kernels
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

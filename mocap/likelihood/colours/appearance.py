@@ -14,12 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
 from mocap.body.model import Body
 from mocap.data.problem import limbs_of
 from mocap.likelihood.colours._kernels import limb_values, see_cones
-
-Array = NDArray[np.float64]
 
 _LUMA_BITS, _CHROMA_BITS = 3, 5
 _CHROMA_LOW, _CHROMA_HIGH = 64, 192  # clothes and skin lie within; the rest goes into the outermost bins

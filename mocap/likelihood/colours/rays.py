@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.pixels import SilhouettePixels, lattice_step
 from mocap.geometry._pixel_kernels import are_near, pixels_of_points
 from mocap.likelihood.colours.appearance import PixelRays, colour_bins_of_pixels
-
-Array = NDArray[np.float64]
 
 _MOST_RAYS = 1600
 

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.kinematics import point_jacobian
 from mocap.body.markers import Markers
 from mocap.body.model import Body
 from mocap.body.stretch import segment_groups, stretch_body
 from mocap.likelihood.markers.fit import MarkerFitProblem, MarkerFitSettings
 from mocap.likelihood.markers.views import MarkerObservation
-
-Array = NDArray[np.float64]
 
 _DAMPING = 1e-3
 

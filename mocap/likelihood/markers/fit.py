@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array, Indices
 from mocap.body._kernels import chain_axes
 from mocap.body.markers import Markers, marker_positions
 from mocap.body.model import Body
@@ -23,9 +24,6 @@ from mocap.likelihood.markers._fit_kernels import (
     project_markers,
 )
 from mocap.likelihood.markers.views import MarkerObservation
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.markers import Markers, marker_positions
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
@@ -24,9 +25,6 @@ from mocap.likelihood.markers._score_kernels import (
     marker_scores_kernel,
 )
 from mocap.likelihood.markers.views import MarkerObservation
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _CELL_PX = 8.0
 

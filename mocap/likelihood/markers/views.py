@@ -10,11 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array, Indices
 from mocap.data.camera import Camera, CameraRig
 from mocap.geometry.epipolar import fundamental_matrix
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _SMALLEST_BOX_PX = 30.0
 _BORDER_SAMPLES = 9  # points per side of a picture that tell how far it reaches without distortion

@@ -6,15 +6,13 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.data.problem import StateLayout
 from mocap.likelihood.residuals._descent_kernels import Bounds, FitTerms, descend, fit_equations
 from mocap.likelihood.residuals.outlines import OutlineProblem, no_outline_terms
 from mocap.likelihood.residuals.surface import SurfaceProblem
 from mocap.threads import in_parallel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array, Mask
 from mocap.body.flesh import LookUpTable
 from mocap.body.model import Body
 from mocap.data.camera import Camera, CameraRig
@@ -29,9 +30,6 @@ from mocap.likelihood.residuals._outline_kernels import (
 )
 from mocap.likelihood.residuals._pull_kernels import FleshPoints
 from mocap.likelihood.residuals.surface import flesh_sample
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _MARGIN_PX = 24  # of the crop around a person
 _BORDER_PX = 3  # outlines nearer to the picture's border may be cut off

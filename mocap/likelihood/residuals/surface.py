@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.flesh import LookUpTable
 from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
 from mocap.body.model import Body
@@ -27,8 +28,6 @@ from mocap.likelihood.residuals._surface_kernels import (
     surface_normals,
 )
 from mocap.likelihood.voxels.exact import PackedVolume
-
-Array = NDArray[np.float64]
 
 _APART_M = 0.03
 _BLOCK_VOXELS = 4  # side of the cubes in which the nearest hull point is looked for

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.flesh import LookUpTable
 from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
@@ -25,8 +26,6 @@ from mocap.likelihood.voxels._exact_kernels import (
     take_voxels,
 )
 from mocap.threads import worker_threads
-
-Array = NDArray[np.float64]
 
 SURFACE_MAX = 127  # bits 0-6 of a packed voxel
 OCCUPIED_BIT = 128  # bit 7

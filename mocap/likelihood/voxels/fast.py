@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.flesh import LookUpTable
 from mocap.body.model import Body
 from mocap.likelihood.voxels._exact_kernels import Segments
@@ -21,7 +22,6 @@ from mocap.likelihood.voxels.exact import (
     run_chunks,
 )
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # A voxel of the size of the table's spacing, thrown at random deep into a part that is turned at random, holds at

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mocap.arrays import Array
 from mocap.body.flesh import LookUpTable
 from mocap.body.kinematics import cones_of_particles
 from mocap.body.model import Body
@@ -24,8 +24,6 @@ from mocap.likelihood.voxels.exact import (
     part_scores,
 )
 from mocap.likelihood.voxels.fast import fast_part_scores
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
