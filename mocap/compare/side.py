@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,11 +13,15 @@ from numpy.typing import NDArray
 from mocap.compare.units import length_unit
 from mocap.data import LANDMARKS, Motion, Tracks
 from mocap.errors import MocapError
+from mocap.files import load_json
 from mocap.io.formats import PoseFile, read_poses
 from mocap.io.formats.csv import read_csv
 from mocap.io.formats.panoptic import panoptic_folder
 from mocap.io.poses import Reading, SideMap, read_motions
 from mocap.io.tables import read_tracks_csv
+
+# A day and a half at 1000 frames per second: what goes beyond is no record of a run.
+_MOST_FRAMES = 10**8
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +111,10 @@ def _own_folder(name: str, path: Path, folder: Path, options: SideMap) -> Side:
 def frames_of_run(out: Path) -> tuple[int, ...] | None:
     """Frames that a run worked on, by its run.json; None for landmarks.csv from elsewhere."""
     try:
-        start, stop = json.loads((out / "run.json").read_text(encoding="utf-8"))["frames"]
-    except (OSError, ValueError, KeyError, TypeError):
+        start, stop = (int(n) for n in load_json(out / "run.json")["frames"])
+    except (MocapError, ValueError, KeyError, TypeError, OverflowError):
         return None
-    return tuple(range(int(start), int(stop)))
+    return tuple(range(start, stop)) if stop - start <= _MOST_FRAMES else None
 
 
 def in_metres(side: Side) -> tuple[Side, str | None, str | None]:

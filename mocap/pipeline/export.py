@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from mocap.body import skeleton_of
 from mocap.data import Hull, Motion
 from mocap.errors import MocapError
+from mocap.files import load_json
 from mocap.io import formats
 from mocap.io._files import writing
 from mocap.io.formats import voxels
@@ -137,8 +137,8 @@ def _no_frames(frames: Frames | None, first: int, last: int) -> MocapError:
 
 def _fps_of_run(out: Path) -> float:
     try:
-        return float(json.loads((out / "run.json").read_text(encoding="utf-8"))["fps"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return float(load_json(out / "run.json")["fps"])
+    except (MocapError, ValueError, KeyError, TypeError) as error:
         raise MocapError(
             "the frame rate of the run is not known",
             path=out / "run.json",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from mocap.errors import MocapError
+from mocap.files import load_json
 from mocap.io._files import writing
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
@@ -61,8 +61,7 @@ def read_record(out: Path) -> RunRecord:
     """The record of the run in `out`. Raises MocapError when there is none, or one of another version."""
     path = out / "run.json"
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-        return record_from_json(about)
+        return record_from_json(load_json(path))
     except ValidationError as error:
         raise MocapError(
             f"the run has settings that this version does not know: {error.errors()[0]['msg']}",
@@ -75,7 +74,7 @@ def read_record(out: Path) -> RunRecord:
             path=path,
             remedy="run the session again with this version",
         ) from error
-    except (OSError, ValueError, TypeError) as error:
+    except (MocapError, ValueError, TypeError, IndexError, OverflowError) as error:
         raise MocapError(
             "the folder holds no result of a run", path=path, remedy="run `mocap run SESSION -o OUT` first"
         ) from error

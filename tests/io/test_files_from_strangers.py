@@ -367,6 +367,28 @@ def test_tables_with_counts_and_places_that_nothing_has_are_refused(tmp_path: Pa
         read_landmarks_csv(path)
 
 
+@pytest.mark.parametrize(
+    ("kind", "old", "new"),
+    [
+        ("ASF", "XYZ", "023-E1"),
+        ("ASF", "XYZ", "XXY"),
+        ("ASF", "dof rx ry rz", "dof rx rx rz"),
+        ("ASF", "RX RY RZ", "RX RX RZ"),
+        ("BVH as capture", "CHANNELS 3 Zrotation Xrotation", "CHANNELS 3 Zrotation Zrotation"),
+        ("BVH as capture", "CHANNELS 3", "CHANNELS 1 Xrotation CHANNELS 3"),
+    ],
+)
+def test_captures_that_turn_about_no_axes_are_refused(tmp_path: Path, kind: str, old: str, new: str) -> None:
+    sample = next(s for s in samples(tmp_path) if s.kind == kind)
+    assert old.encode() in sample.content
+    for name, data in sample.beside.items():
+        (tmp_path / name).write_bytes(data)
+    path = tmp_path / sample.name
+    path.write_bytes(sample.content.replace(old.encode(), new.encode(), 1))
+    with pytest.raises(MocapError):
+        sample.read(path)
+
+
 def test_an_empty_clip_folder_and_a_text_called_picture_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b.png").write_text("no picture")

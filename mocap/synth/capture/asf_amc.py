@@ -162,7 +162,7 @@ def _root(reader: _Reader, lines: _Lines) -> _Bone:
     for number, words in lines:
         if words[0] == "order":
             root.freedoms = tuple(w.lower() for w in words[1:])
-            if not set(root.freedoms) <= {*_TURNS, *_MOVES}:
+            if not set(root.freedoms) <= {*_TURNS, *_MOVES} or len(set(root.freedoms)) < len(root.freedoms):
                 raise reader.error(number, f"the order {' '.join(words[1:])} is not understood")
     return root
 
@@ -194,11 +194,13 @@ def _describe(reader: _Reader, bone: _Bone, number: int, words: list[str]) -> No
         case ["length", *values]:
             bone.length = reader.numbers(number, values, 1)[0]
         case ["axis", *values, order] if len(values) == 3:
+            if sorted(order.lower()) != ["x", "y", "z"]:
+                raise reader.error(number, f"the order {order!r} of the axes is not understood")
             degrees = np.array(reader.numbers(number, values, 3))
             bone.axes = euler_matrix(order.lower()[::-1], degrees[None, ::-1])[0]
         case ["dof", *freedoms]:
             bone.freedoms = tuple(f.lower() for f in freedoms)
-            if not set(bone.freedoms) <= set(_TURNS):
+            if not set(bone.freedoms) <= set(_TURNS) or len(set(freedoms)) < len(freedoms):
                 raise reader.error(number, f"the degrees of freedom {' '.join(freedoms)} are not understood")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -56,9 +57,9 @@ def _root_places(root: BvhJoint, table: np.ndarray) -> tuple[np.ndarray, bool]:
 def _turns(path: Path, joint: BvhJoint, table: np.ndarray) -> np.ndarray:
     """Rotations (T, 3, 3) of one joint in its parent."""
     turns = [(k, c) for k, c in enumerate(joint.channels) if c.endswith("rotation")]
-    if len(turns) > 3:
+    if len(turns) > 3 or any(a[1] == b[1] for a, b in pairwise(turns)):
         raise MocapError(
-            f"{joint.name} has {len(turns)} rotations, three are enough",
+            f"{joint.name} turns by {', '.join(c for _, c in turns)}; three turns about changing axes are enough",
             path=path,
             remedy="export the motion as BVH again",
         )
