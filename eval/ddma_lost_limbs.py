@@ -80,14 +80,14 @@ def filters(clip: HullClip) -> dict[str, tuple[Callable[..., Any], Any]]:
     from mocap.body import load_hierarchy, load_limbs
     from mocap.filters.apf import ApfSettings, apf_step
     from mocap.filters.ddma import DdmaSettings, ShbmDdmaSettings, ddma_step, shbm_ddma_step
-    from mocap.filters.limb_settings import LimbSettings
+    from mocap.filters.limb_settings import LimbSettings, own_data_limits
     from mocap.filters.shbm import ShbmSettings, shbm_step
 
     apf = ApfSettings(n_layers=4, n_particles=550, std=clip.std)
     shbm = ShbmSettings(std=clip.std, hierarchy=load_hierarchy("model2"))
     limbs = load_limbs("limbs")
     published = LimbSettings(limbs)
-    own = LimbSettings(limbs, own_data=True, lost_occupancy=0.15, lost_spread_share=0.5)
+    own = own_data_limits(limbs)
     return {
         "apf": (apf_step, apf),
         "shbm model2": (shbm_step, shbm),

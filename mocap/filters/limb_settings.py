@@ -36,3 +36,8 @@ class LimbSettings:
     """Noise of the scout's first layer; the particles before it lie anywhere in the limb's range."""
     scout_survival_rate: float = 0.3
     """Target ESS / N of the scout's layers, and the factor on its noise covariance."""
+
+
+def own_data_limits(limbs: tuple[Limb, ...]) -> LimbSettings:
+    """Limits for limbs of which only data of their own counts: chosen on one development scene (decision 16)."""
+    return LimbSettings(limbs, own_data=True, lost_occupancy=0.15, lost_spread_share=0.5)

@@ -8,17 +8,13 @@ from mocap.data import StateLayout, VoxelGrid
 from mocap.data.hierarchy import Hierarchy, levels_on, limbs_on
 from mocap.errors import MocapError
 from mocap.filters import FILTERS, FilterBudget
-from mocap.filters.limb_settings import LimbSettings
+from mocap.filters.limb_settings import LimbSettings, own_data_limits
 from mocap.likelihood.voxels import VoxelLikelihoodSettings
 from mocap.pipeline.config import Config, LikelihoodConfig, MarkersConfig, PoseConfig
 from mocap.pose.marker import MarkerTools
 from mocap.pose.method import Method
 from mocap.pose.settings import MarkerSettings, PoseSettings
 from mocap.pose.volume import VolumeTools, volume_tools
-
-# Limits for `pose.limb_evidence = "own"`, chosen on one development scene (decision 16).
-_OWN_OCCUPANCY = 0.15
-_OWN_SPREAD_SHARE = 0.5
 
 
 def filter_budget(pose: PoseConfig, layout: StateLayout) -> FilterBudget:
@@ -84,11 +80,7 @@ def _limbs(pose: PoseConfig, layout: StateLayout) -> LimbSettings:
         raise MocapError(
             f"configuration: pose.limbs: {error}", remedy="take limbs made for this body"
         ) from error
-    if pose.limb_evidence == "own":
-        return LimbSettings(
-            limbs, own_data=True, lost_occupancy=_OWN_OCCUPANCY, lost_spread_share=_OWN_SPREAD_SHARE
-        )
-    return LimbSettings(limbs)
+    return own_data_limits(limbs) if pose.limb_evidence == "own" else LimbSettings(limbs)
 
 
 def pose_settings(pose: PoseConfig, method: Method, layout: StateLayout) -> PoseSettings:
