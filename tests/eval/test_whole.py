@@ -42,10 +42,11 @@ def test_what_breaks_off_leaves_the_file_as_it_was(tmp_path: Path) -> None:
 
 
 def test_studies_write_in_no_other_way() -> None:
-    """Files that grow on purpose are opened with "a" and lie in out/; `same_bytes` records where it is told to."""
+    """Files that grow on purpose are opened with "a" and lie in out/; `same_bytes` records where it is told to, and
+    `mutants` writes sources that it puts back."""
     found = []
     for path in sorted((ROOT / "eval").rglob("*.py")):
-        if path.name in ("whole.py", "same_bytes.py"):
+        if path.name in ("whole.py", "same_bytes.py") or path.parent.name == "mutants":
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
