@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli.options import command_line
+from mocap.cli.options import check_choice, command_line
 from mocap.cli.scores import echo_comparison
-from mocap.errors import MocapError
 
 
 def evaluate(
@@ -67,8 +66,7 @@ def evaluate(
         ("--estimate-up", estimate_up, AXES),
         ("--truth-up", truth_up, AXES),
     ):
-        if value is not None and value not in known:
-            raise MocapError(f"{option} is {value!r}", remedy=f"give one of {', '.join(known)}")
+        check_choice(option, value, known)
     options = CompareOptions(
         epsilon_mm=epsilon_mm,
         epsilon_px=epsilon_px,

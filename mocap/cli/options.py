@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mocap.errors import MocapError
+from mocap.errors import MocapError, did_you_mean
 
 if TYPE_CHECKING:
     from mocap.pipeline.config import Config
@@ -64,6 +65,15 @@ def parse_frames(text: str | None) -> tuple[int | None, int | None] | None:
             f"cannot read the frame range {text!r}", remedy="write --frames a:b, for example 0:100"
         )
     return a, b
+
+
+def check_choice(option: str, value: str | None, known: Iterable[str]) -> None:
+    """Raise MocapError, which names the option, for a value that is none of the known ones; None = not given."""
+    known = list(known)
+    if value is not None and value not in known:
+        raise MocapError(
+            f"{option} is {value!r}{did_you_mean(value, known)}", remedy=f"give one of {', '.join(known)}"
+        )
 
 
 def read_config(

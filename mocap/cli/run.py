@@ -26,13 +26,13 @@ from mocap.cli.options import (
     SessionPath,
     SetOption,
     ThreadsOption,
+    check_choice,
     command_line,
     parse_frames,
     read_config,
 )
 from mocap.cli.progress import FinishedStages, progress_bar
 from mocap.cli.scores import echo_scores
-from mocap.errors import MocapError, did_you_mean
 
 if TYPE_CHECKING:
     from mocap.pipeline.record import RunResult
@@ -127,11 +127,7 @@ def run(
     """Camera folder to motion: masks, volumes, tracks, poses, exports and report."""
     from mocap.pipeline.chains import UNTIL
 
-    if until not in UNTIL:
-        raise MocapError(
-            f"--until: there is no stage named {until!r}{did_you_mean(until, UNTIL)}",
-            remedy=f"give one of {', '.join(UNTIL)}",
-        )
+    check_choice("--until", until, UNTIL)
     _run(
         Order(
             session,

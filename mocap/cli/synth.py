@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from mocap.cli.options import check_choice
 from mocap.cli.progress import progress_bar
 
 
@@ -41,6 +42,7 @@ def synth(
     from mocap.synth import synthesise
     from mocap.synth.preview import check_picture_name
 
+    check_choice("--body", body, ("own", "anny"))
     if preview is not None:
         check_picture_name(preview)
     with progress_bar() as progress:

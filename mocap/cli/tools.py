@@ -9,7 +9,14 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli.options import CalibrationOption, FramesOption, RunPath, SessionPath, parse_frames
+from mocap.cli.options import (
+    CalibrationOption,
+    FramesOption,
+    RunPath,
+    SessionPath,
+    check_choice,
+    parse_frames,
+)
 from mocap.cli.progress import progress_bar
 from mocap.errors import MissingExtra, MocapError
 
@@ -135,7 +142,10 @@ def export(
     ] = False,
 ) -> None:
     """Coloured voxels per frame, or motion, from a finished run, for other tools."""
-    from mocap.pipeline.export import export_run
+    from mocap.pipeline.export import EXPORTS, export_run
+
+    check_choice("--what", what, EXPORTS)
+    check_choice("--format", format, EXPORTS[what])
 
     with progress_bar() as progress:
         written = export_run(
@@ -181,9 +191,9 @@ def convert_calibration(
 ) -> None:
     """Read a calibration of any supported format and write our own TOML in metres."""
     from mocap.io.calibration import read_calibration, write_calibration
+    from mocap.io.units import UNITS
 
-    if units is not None and units not in ("m", "cm", "mm"):
-        raise MocapError(f"unknown unit {units!r}", remedy="give --units m, cm or mm")
+    check_choice("--units", units, UNITS)
     found = read_calibration(source, units=units, check_world=False)
     write_calibration(out, found.rig, metadata={"source_format": found.format})
     typer.echo(f"{found.format}, units {found.units}: {len(found.rig)} cameras -> {out}")

@@ -351,23 +351,27 @@ def _config_error(error: ValidationError, path: Path, settings: tuple[str, ...])
     loc = [str(part) for part in first["loc"]]
     dotted = ".".join(loc)
     section = _section_of(loc)
-    allowed = list(section.model_fields if issubclass(section, BaseModel) else section.__dataclass_fields__)
-    remedy = f"allowed here: {', '.join(allowed)}"
+    what = first["msg"].lower()
+    remedy = "see docs/configuration.md for what it may be"
     if first["type"] in _UNKNOWN:
+        allowed = list(
+            section.model_fields if issubclass(section, BaseModel) else section.__dataclass_fields__
+        )
         what = f"unknown key{did_you_mean(loc[-1], allowed)}"
-    else:
-        what = first["msg"].lower()
-    if first["type"] == "literal_error" and isinstance(first["loc"][-1], int):
+        remedy = f"allowed here: {', '.join(allowed)}"
+    elif first["type"] == "literal_error":
         what += f", got {first['input']!r}"
-        remedy = f"write for example --set {'.'.join(loc[:-1])}={_example(first['ctx']['expected'])}"
+        is_list = isinstance(first["loc"][-1], int)
+        key = ".".join(loc[:-1] if is_list else loc)
+        remedy = f"write for example --set {key}={_example(first['ctx']['expected'], 1 + is_list)}"
     keys = [setting.partition("=")[0].strip() for setting in settings]
     is_setting = any(dotted == key or dotted.startswith(key + ".") for key in keys)
     return MocapError(f"configuration: {dotted}: {what}", path=None if is_setting else path, remedy=remedy)
 
 
-def _example(expected: str) -> str:
-    """Two of the words that pydantic expects, `'bvh', 'trc' or 'c3d'`, as they are typed."""
-    return ",".join(expected.split("'")[1:4:2])
+def _example(expected: str, n: int) -> str:
+    """The first n of the words that pydantic expects, `'bvh', 'trc' or 'c3d'`, as they are typed."""
+    return ",".join(expected.split("'")[1::2][:n])
 
 
 def _section_of(parts: Sequence[str]) -> Any:

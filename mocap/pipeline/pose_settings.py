@@ -6,7 +6,7 @@ from mocap.body import Body, load_body_model, load_hierarchy, load_limbs, scale_
 from mocap.body.markers import Markers, load_marker_set, place_markers
 from mocap.data import StateLayout, VoxelGrid
 from mocap.data.hierarchy import Hierarchy, levels_on, limbs_on
-from mocap.errors import MocapError
+from mocap.errors import MocapError, did_you_mean
 from mocap.filters import FILTERS, FilterBudget
 from mocap.filters.limb_settings import LimbSettings, own_data_limits
 from mocap.likelihood.voxels import VoxelLikelihoodSettings
@@ -44,7 +44,8 @@ def check_filter(pose: PoseConfig, section: str, *, factorised: bool) -> None:
     global one."""
     if pose.filter not in FILTERS:
         raise MocapError(
-            f"configuration: pose.filter: there is no filter named {pose.filter!r}",
+            f"configuration: pose.filter: there is no filter named {pose.filter!r}"
+            + did_you_mean(pose.filter, FILTERS),
             remedy=f"use one of {', '.join(FILTERS)}",
         )
     if FILTERS[pose.filter].is_part_by_part and not factorised:

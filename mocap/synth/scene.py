@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from mocap.errors import MocapError
+from mocap.errors import MocapError, did_you_mean
 from mocap.files import load_toml
 from mocap.synth.faults import KINDS as _FAULT_KINDS
 from mocap.synth.faults import Fault, find_mistakes
@@ -113,7 +113,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
         known = _scene_files()
         if text not in known:
             raise MocapError(
-                f"there is no scene named {text!r}",
+                f"there is no scene named {text!r}{did_you_mean(text, known)}",
                 remedy=f"take one of {', '.join(sorted(known))}, or give a .toml file",
             )
         path = known[text]

@@ -77,7 +77,36 @@ def test_a_mistyped_key_of_session_toml_is_guessed(session: Path, tmp_path: Path
 def test_a_mistyped_stage_is_guessed(tmp_path: Path) -> None:
     said = mocap("run", tmp_path, "-o", tmp_path / "out", "--until", "tracks")
     assert said.code == 2
-    assert "--until: there is no stage named 'tracks'; did you mean 'track'?" in said.err
+    assert "--until is 'tracks'; did you mean 'track'?" in said.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("synth", "-o", "x", "--body", "any"), "--body is 'any'; did you mean 'anny'?"),
+        (("synth", "-o", "x", "--scene", "wlak"), "did you mean 'walk'?"),
+        (("export", "x", "-o", "y", "--what", "voxel"), "--what is 'voxel'; did you mean 'voxels'?"),
+        (
+            ("export", "x", "-o", "y", "--format", "obj"),
+            "--format is 'obj'. Remedy: give one of ply, npz, glb",
+        ),
+        (("eval", "x", "y", "--truth-unit", "km"), "--truth-unit is 'km'"),
+        (("convert-calibration", "x", "-o", "y", "--units", "km"), "--units is 'km'"),
+        (
+            ("run", "x", "-o", "y", "--observation", "voxel"),
+            "got 'voxel'. Remedy: write for example --set observation=auto",
+        ),
+        (("run", "x", "-o", "y", "--set", "pose.n_layers=0"), "Remedy: see docs/configuration.md"),
+    ],
+)
+def test_a_wrong_value_is_answered_with_the_option_and_what_it_may_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    said = mocap(*arguments)
+    assert said.code == 2
+    assert words in said.err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_calibration_of_unlikely_size_names_the_option(session: Path, tmp_path: Path) -> None:
