@@ -14,7 +14,7 @@ import queue
 import time
 import traceback
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -114,8 +114,7 @@ def run_jobs(
         folder.mkdir(parents=True, exist_ok=True)
     with sole_use(folder, "mocap sweep or batch"):
         kept = {job.key: job for job in jobs if job.is_kept}
-        found = {key: outcome for key in kept if (outcome := read_outcome(folder, key)) is not None}
-        outcomes = {key: outcome for key, outcome in found.items() if outcome.is_done}
+        outcomes = _done_before(folder, kept)
         n_reused, started = len(outcomes), time.monotonic()
         pending = _pending(jobs, set(outcomes))
 
@@ -133,13 +132,24 @@ def run_jobs(
         if not pending:
             return outcomes
         if engine.scheduler is None and engine.n_workers == 0:
-            done: dict[str, Outcome] = {}
-            for job in pending:
-                done[job.key] = attempt(job.work, job.parameters, code, *(done[key] for key in job.needs))
-                settle(job, done[job.key], 0)
+            _run_here(pending, code, settle)
         else:
             _run_on_dask(pending, engine, code, settle)
     return outcomes
+
+
+def _done_before(folder: Path, keys: Iterable[str]) -> dict[str, Outcome]:
+    """Results of earlier commands; what has failed is tried again."""
+    found = {key: read_outcome(folder, key) for key in keys}
+    return {key: outcome for key, outcome in found.items() if outcome is not None and outcome.is_done}
+
+
+def _run_here(jobs: Sequence[Job], code: str, settle: Callable[..., None]) -> None:
+    """One job after the other in this process."""
+    done: dict[str, Outcome] = {}
+    for job in jobs:
+        done[job.key] = attempt(job.work, job.parameters, code, *(done[key] for key in job.needs))
+        settle(job, done[job.key], 0)
 
 
 def attempt(work: Work, parameters: dict[str, Any], code: str, *needs: Outcome) -> Outcome:

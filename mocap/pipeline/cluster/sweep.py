@@ -9,6 +9,7 @@ OUT/runs/KEY/          the output of a cell while it runs, and afterwards if ask
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -215,17 +216,15 @@ def plain(value: Any) -> Any:
     """Plain JSON of nested values; what is not finite becomes None."""
     import numpy as np
 
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value if value is None or isinstance(value, str) else str(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
 def _link_products(out: Path, folder: Path, products: Sequence[Sequence[str]]) -> None:
