@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ def result(tmp_path: Path) -> Path:
                 n_views=np.ones(n, dtype=np.uint8),
                 rgb=np.full((n, 3), 80, dtype=np.uint8),
             )
+    (out / "run.json").write_text(json.dumps({"fps": 10, "product_keys": {"carve": "key"}}))
     return out
 
 
@@ -61,7 +63,6 @@ def test_cubes(result: Path, tmp_path: Path) -> None:
 def test_what_is_not_there_is_said(
     result: Path, tmp_path: Path, options: tuple[str, ...], words: tuple[str, ...]
 ) -> None:
-    (result / "run.json").write_text('{"fps": 30.0}', encoding="utf-8")
     said = mocap("export", result, "-o", tmp_path / "x", *options)
     assert said.code == 2
     assert all(word in said.err for word in words), said.err
