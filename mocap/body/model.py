@@ -304,8 +304,8 @@ def scale_body(model: BodyModel, height_m: float) -> Body:
     parent = np.array([index.get(j.parent, -1) for j in model.joint], dtype=np.int64)
     # The columns after the root's position are the degrees of freedom, joint by joint.
     dofs = [(j, dof) for j, joint in enumerate(model.joint) for dof in joint.dofs]
-    landmarks = [model.landmarks[name] for name in LANDMARKS]
-    root_speed = model.joint[0].translation_speed or (1.0, 1.0, 1.0)
+    landmark_joint, landmark_offset = _landmarks(model, index)
+    max_speed, usual_std = _usual_motion(model, dofs)
     return Body(
         name=model.name,
         height_m=float(height_m),
@@ -316,16 +316,32 @@ def scale_body(model: BodyModel, height_m: float) -> Body:
         dof_axis=np.array([_AXES[dof.axis] for _, dof in dofs], dtype=np.int64),
         dof_column=np.arange(3, 3 + len(dofs), dtype=np.int64),
         layout=_layout(model, dofs, _part_of_column(model, dofs, parent, index)),
-        max_speed=np.array([*root_speed, *(dof.speed for _, dof in dofs)]),
-        usual_std=np.array([math.inf] * 3 + [dof.usual_std or math.inf for _, dof in dofs]),
-        landmark_joint=np.array([index[spec.joint] for spec in landmarks], dtype=np.int64),
-        landmark_offset=np.array([spec.offset for spec in landmarks]) * height_m,
+        max_speed=max_speed,
+        usual_std=usual_std,
+        landmark_joint=landmark_joint,
+        landmark_offset=landmark_offset * height_m,
         cones=_cones(model, index, height_m),
         variance=np.array([p.variance for p in model.part]),
         part_sides=tuple(p.side for p in model.part),
         round_ends=model.round_ends,
         exclusive=model.exclusive,
     )
+
+
+def _landmarks(model: BodyModel, index: dict[str, int]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Joint (M,) of each landmark and its offset (M, 3) there, fractions of the standing height."""
+    specs = [model.landmarks[name] for name in LANDMARKS]
+    joint = np.array([index[spec.joint] for spec in specs], dtype=np.int64)
+    return joint, np.array([spec.offset for spec in specs])
+
+
+def _usual_motion(
+    model: BodyModel, dofs: Sequence[tuple[int, DofSpec]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Largest expected speed of each column (D,), m/s and rad/s, and how far it usually is from 0 (D,)."""
+    root = model.joint[0].translation_speed or (1.0, 1.0, 1.0)
+    speed = np.array([*root, *(dof.speed for _, dof in dofs)])
+    return speed, np.array([math.inf] * 3 + [dof.usual_std or math.inf for _, dof in dofs])
 
 
 def _layout(model: BodyModel, dofs: Sequence[tuple[int, DofSpec]], part_of_column: list[int]) -> StateLayout:
