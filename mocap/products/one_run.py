@@ -17,6 +17,8 @@ def check_one_run(out: Path, *needed: str) -> None:
     without a store holds nothing that could be mixed up.
     needed : products that must be the run's own.
     """
+    if not needed and not (out / "store.zarr").is_dir():
+        return
     keys = _product_keys(out)
     if keys is None and needed:
         raise MocapError(
@@ -37,8 +39,6 @@ def _check_products(out: Path, keys: dict[str, str], needed: Sequence[str]) -> N
             remedy="finish it with `mocap run SESSION -o OUT --resume`",
         )
     store = StageStore(out / "store.zarr")
-    if not needed and not store.path.is_dir():
-        return
     others = [product for product, key in keys.items() if not store.is_complete(product, key)]
     if others:
         raise MocapError(
