@@ -337,8 +337,8 @@ def test_the_command_prints_a_table_json_and_a_page(tmp_path: Path, truth: Path)
         "MMTA",
         "PCK",
         "Procrustes",
-        "natural epsilon",
-        "inv. kinematics",
+        "Natural epsilon (Lilliefors)",
+        "Mean angle error after IK",
         "stand & wait (10 frames)",
         "note:",
     ):
