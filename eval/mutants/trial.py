@@ -62,7 +62,6 @@ def passes(mutant: Mutant, copy: Path, folder: Path) -> bool:
 
 def _in_plain_python(mutant: Mutant, copy: Path) -> int | None:
     """Exit code of pytest without the compiler, None after the timeout; libraries are imported once for all mutants."""
-    os.environ["NUMBA_DISABLE_JIT"] = "1"
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     context: Any = multiprocessing.get_context(method)  # the common base of contexts knows no Process
     context.set_forkserver_preload(list(_LIBRARIES))
@@ -77,8 +76,17 @@ def _in_plain_python(mutant: Mutant, copy: Path) -> int | None:
 
 
 def _run_pytest(copy: Path, tests: tuple[str, ...]) -> None:
+    import numba
     import pytest
 
+    def plain(function: Any = None, **options: Any) -> Any:
+        """`njit` without the compiler; tests compare kernels with their `py_func`."""
+        if function is None:
+            return plain
+        function.py_func = function
+        return function
+
+    numba.njit = plain
     os.chdir(copy)
     sys.path.insert(0, str(copy))
     sys.dont_write_bytecode = True
@@ -97,7 +105,6 @@ def _in_new_compiler(mutant: Mutant, copy: Path, folder: Path) -> int | None:
         "PYTHONPATH": str(copy),
         "PYTHONDONTWRITEBYTECODE": "1",
         "NUMBA_CACHE_DIR": cache,
-        "NUMBA_DISABLE_JIT": "0",
     }
     command = [sys.executable, "-m", "pytest", *_OPTIONS, *mutant.tests]
     try:

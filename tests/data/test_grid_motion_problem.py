@@ -29,6 +29,9 @@ def test_subscripts_linear_centers_and_voxels_of_round_trip() -> None:
 def test_points_outside_or_nan_have_no_voxel() -> None:
     points = np.array([[-0.51, 0.3, 0.1], [0.0, 0.3, 0.56], [np.nan, 0.3, 0.1], [-0.5, 0.25, 0.0]])
     assert GRID.voxels_of(points).tolist() == [-1, -1, -1, 0]
+    exact = VoxelGrid(np.zeros(3), (2, 3, 5), 0.5)
+    walls = np.array([[1.0, 0.1, 0.1], [0.1, 1.5, 0.1], [0.1, 0.1, 2.5], [0.99, 1.49, 2.49]])
+    assert exact.voxels_of(walls).tolist() == [-1, -1, -1, 29], "the upper walls are outside"
 
 
 @given(

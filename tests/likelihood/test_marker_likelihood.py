@@ -138,6 +138,18 @@ def test_a_marker_seen_in_one_view_or_none_costs_one() -> None:
         )
 
 
+def test_a_camera_that_looks_away_has_no_say() -> None:
+    body, markers = other_body()
+    state = pose(body)
+    turn = np.diag([-1.0, 1.0, -1.0])
+    first, *others = ring()
+    rig = CameraRig((replace(first, R=turn @ first.R, t=turn @ first.t), *others))
+    uv = [camera.project(marker_positions(body, markers, state[None])[0])[0] for camera in rig]
+    assert np.isnan(uv[0]).all()
+    p = MarkerProblem(body, markers, observe(marker_views(rig), uv), settings(1.0))
+    np.testing.assert_allclose(p.scores(state[None]), 0.0, atol=SCORE_TOLERANCE)
+
+
 def test_scores_lie_between_zero_and_one_whatever_the_detector_does() -> None:
     for weight in (0.0, 0.5, 1.0):
         p = problem(weight, rate=0.3, n_false=30, noise_px=6.0)

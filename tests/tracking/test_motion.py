@@ -13,7 +13,9 @@ FPS = 20.0
 def walking():
     s = settings(tracker="particle", fps=FPS, motion="velocity")
     track = Track(1, np.array([1.0, 2.0, 0.9]), "confirmed", 0)
-    return s, track.but(velocity=np.array([1.0, -0.5, 0.1]), motion=start_motion(s), samples=np.zeros((2, 3)))
+    return s, track.replace(
+        velocity=np.array([1.0, -0.5, 0.1]), motion=start_motion(s), samples=np.zeros((2, 3))
+    )
 
 
 def test_a_velocity_fades():
@@ -27,7 +29,7 @@ def test_a_velocity_fades():
         np.testing.assert_allclose(moved.samples, np.tile(way, (2, 1)))
         np.testing.assert_allclose(moved.velocity, np.exp(-t / FADE_S) * track.velocity)
         assert moved.motion[0, 0] > track.motion[0, 0]
-    assert predict(track.but(misses=1), 7, s).xyz[2] == track.xyz[2], "nobody sinks out of sight"
+    assert predict(track.replace(misses=1), 7, s).xyz[2] == track.xyz[2], "nobody sinks out of sight"
 
 
 def test_an_observation_turns_the_velocity_by_the_gain():

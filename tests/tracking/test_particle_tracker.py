@@ -147,7 +147,7 @@ def test_colour_weight_mixes_overlap_and_colour():
     bare = Track(1, here.voxels.centers.mean(axis=0), "confirmed", 0)
     track = start(bare, here, claim_of(here, np.arange(len(here.voxels))), rng=RNG(0))
     likelihood = [
-        estimate(track.but(histogram=histogram), np.zeros((0, 2)), here, rng=RNG(1)).efficiency
+        estimate(track.replace(histogram=histogram), np.zeros((0, 2)), here, rng=RNG(1)).efficiency
         for histogram in (None, stranger)
     ]
     assert likelihood[0] > 0.1

@@ -270,7 +270,7 @@ def test_colour_weight_mixes_places_and_colours():
     stranger = np.zeros(N_BINS, dtype=np.float32)
     stranger[0] = 1.0
     likelihood = [
-        estimate(track.but(histogram=histogram), np.zeros((0, 2)), frame, rng=RNG(1)).efficiency
+        estimate(track.replace(histogram=histogram), np.zeros((0, 2)), frame, rng=RNG(1)).efficiency
         for histogram in (None, stranger)
     ]
     assert likelihood[0] > 0.1
