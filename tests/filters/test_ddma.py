@@ -155,6 +155,8 @@ def test_found_takes_narrow_scouts_and_data() -> None:
     assert nothing.n_units == (1, 1), "0.6 of it in data is not enough"
     _, wide = run_tree(tree((1.0, 0.9, 0.9, 0.9)), state, found_std_rad=1e-4)
     assert wide.n_units == (1, 1), "the scouts have not closed in"
+    _, half = run_tree(tree((1.0, 0.9, 0.9, 0.9)), state)
+    assert half.n_units == (1, 1), "one angle has closed in, two have not"
     # The arm's two inner angles act as one: only their sum is seen, and both stay wide.
     found, info = run_tree(tree((1.0, 0.9, 0.9, 0.9)), state, found_std_rad=np.deg2rad(90.0))
     assert info.n_units == (2, 1)
