@@ -136,7 +136,7 @@ def test_files_of_another_product_are_not_mixed(tmp_path: Path) -> None:
     assert outcome(tmp_path / "a", product) == "said"
 
 
-@pytest.mark.parametrize("offsets", [[1, 2], [0, 3, 2], [0, 1], [0, 1, 10**9]])
+@pytest.mark.parametrize("offsets", [[1, 2], [0, 3, 2], [0, 5, 3], [0, 1], [0, 1, 10**9]])
 def test_rows_that_do_not_follow_each_other_are_refused(
     tmp_path: Path, offsets: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
