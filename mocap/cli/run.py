@@ -112,7 +112,7 @@ def run(
     seed: SeedOption = 0,
     frames: FramesOption = None,
     until: Annotated[
-        str, typer.Option("--until", help="Last stage: segment, carve, track, pose, report.")
+        str, typer.Option("--until", help="Last stage: segment, occluders, carve, track, pose, report.")
     ] = "report",
     resume: ResumeOption = False,
     calibration: CalibrationOption = None,

@@ -12,6 +12,7 @@ from mocap.arrays import Array
 from mocap.data.camera import Camera, CameraRig
 
 DepthMap = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,32 @@ class Occluders:
         cell = np.clip(cell, 0, np.array(own.shape[::-1]) - 1)
         is_hidden[inside] = depth[inside] > own[cell[:, 1], cell[:, 0]]
         return is_hidden
+
+    def hidden_pixels(self, camera: Camera, points_world: Array) -> Mask | None:
+        """Pixels (H, W) bool in which somebody at points (N, 3) m is behind something; None when there are none.
+
+        He counts as one depth, the median of his points'.
+        """
+        own = self.of(camera)
+        if own is None or len(points_world) == 0:
+            return None
+        cells = own < np.median(points_world @ camera.R[2] + camera.t[2])
+        if not cells.any():
+            return None
+        return self._on_picture(camera, cells)
+
+    def standing_pixels(self, camera: Camera) -> Mask:
+        """Pixels (H, W) bool in which something can stand in front of people, at whatever depth."""
+        own = self.of(camera)
+        if own is None:
+            return np.zeros(camera.size[::-1], dtype=np.bool_)
+        return self._on_picture(camera, np.isfinite(own))
+
+    def _on_picture(self, camera: Camera, cells: Mask) -> Mask:
+        width, height = camera.size
+        rows = np.minimum(np.arange(height) // self.cell_px, cells.shape[0] - 1)
+        columns = np.minimum(np.arange(width) // self.cell_px, cells.shape[1] - 1)
+        return cells[np.ix_(rows, columns)]
 
     def on_cells(self) -> Occluders:
         """The same for cameras whose pixels are the cells."""

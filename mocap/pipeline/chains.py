@@ -10,16 +10,17 @@ from mocap.pipeline.stage import Stage
 from mocap.pipeline.stages.carve import CARVE
 from mocap.pipeline.stages.detect import DETECT, labels_path
 from mocap.pipeline.stages.markers import MARKER_POSE
+from mocap.pipeline.stages.occluders import OCCLUDERS
 from mocap.pipeline.stages.pose import POSE
 from mocap.pipeline.stages.segment import SEGMENT
 from mocap.pipeline.stages.track import TRACK
 
 CHAINS: dict[str, tuple[Stage, ...]] = {
-    "voxels": (SEGMENT, CARVE, TRACK, POSE),
+    "voxels": (SEGMENT, OCCLUDERS, CARVE, TRACK, POSE),
     "markers": (DETECT, MARKER_POSE),
 }
 # The words that say where a run ends; the last one is after all stages.
-UNTIL = ("segment", "carve", "track", "pose", "report")
+UNTIL = ("segment", "occluders", "carve", "track", "pose", "report")
 
 
 def stages_until(kind: str, until: str) -> tuple[Stage, ...]:

@@ -57,6 +57,9 @@ class VolumeConfig(_Section):
     """Lower and upper corner of the room; the session's own bounds or the cameras' common view when absent."""
     outside_view: Literal["abstain", "background"] = "abstain"
     """What a camera says of a voxel outside its picture: nothing, or `background`."""
+    occluders: Literal["learn", "ignore"] = "learn"
+    """What stands still between cameras and people: `learn` it from the silhouettes, so that no camera speaks of what
+    it cannot see; `ignore` = every camera judges its whole picture."""
     visibility: Literal["line", "zbuffer"] = "line"
     """How cameras that see a voxel are found: a walk to the optical centre, or a depth buffer per camera."""
     on_bad_camera: Literal["warn", "exclude", "ignore"] = "exclude"

@@ -1,8 +1,8 @@
 """Hulls, product `carve`: coloured voxels of every frame, and pixels of the silhouettes.
 
-Per frame `voxels` (N,) int32, `is_surface` (N,) bool, `n_views` (N,) uint8, `rgb` (N, 3) uint8, `used` (C,) bool, the
-cameras that took part, and `pixel_camera`, `pixel_uv`, `pixel_rgb` of `SilhouettePixels`; grid and camera faults in the
-attributes.
+Per frame `voxels` (N,) int32, `is_surface` (N,) bool, `n_views` (N,) uint8, `rgb` (N, 3) uint8, `unknown` (U,) int32,
+the voxels around them that too few cameras can judge, `used` (C,) bool, the cameras that took part, and `pixel_camera`,
+`pixel_uv`, `pixel_rgb` of `SilhouettePixels`; grid and camera faults in the attributes.
 """
 
 from __future__ import annotations
@@ -16,19 +16,23 @@ from numpy.typing import NDArray
 
 from mocap.data import Hull, VoxelGrid
 from mocap.data.pixels import SilhouettePixels
+from mocap.data.voxels import Voxels
 from mocap.io.store import StageStore
 from mocap.volume import CameraFault
 
 PRODUCT = "carve"
 
 
-def hull_row(hull: Hull, used: NDArray[np.bool_], pixels: SilhouettePixels) -> dict[str, NDArray[np.generic]]:
-    """The arrays of one frame.  used : (C,)."""
+def hull_row(
+    hull: Hull, unknown: Voxels, used: NDArray[np.bool_], pixels: SilhouettePixels
+) -> dict[str, NDArray[np.generic]]:
+    """The arrays of one frame.  unknown : (U,) int32, ascending.  used : (C,)."""
     return {
         "voxels": hull.voxels,
         "is_surface": hull.is_surface,
         "n_views": hull.n_views,
         "rgb": hull.rgb,
+        "unknown": unknown,
         "used": used,
         "pixel_camera": pixels.camera,
         "pixel_uv": pixels.uv,

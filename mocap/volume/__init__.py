@@ -7,7 +7,7 @@ from mocap.volume.colour import colour_hull, visible_views
 from mocap.volume.components import connected_components
 from mocap.volume.consistency import ConsistencyMonitor, SilhouetteEvidence
 from mocap.volume.grid import choose_grid
-from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_cells
+from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_cells, no_occluders
 from mocap.volume.residuals import SilhouetteResiduals, silhouette_residuals
 from mocap.volume.surface import surface_map, surface_voxels
 
@@ -29,6 +29,7 @@ __all__ = [
     "find_camera_faults",
     "learn_occluders",
     "masks_by_cells",
+    "no_occluders",
     "silhouette_residuals",
     "surface_map",
     "surface_voxels",

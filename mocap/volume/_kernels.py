@@ -297,13 +297,13 @@ def paint_boxes(uv, half, canvas):
 
 
 @njit(cache=True, nogil=True)
-def paint_left_out(pixels, is_miss, depth, width, half_at_1m, shrink, canvas):
+def paint_left_out(pixels, is_miss, depth, width, half_at_1m, shrink, tolerance, canvas):
     """Silhouettes, per camera, of the hull that the other cameras leave, at reduced resolution.
 
     pixels : (n, C) int32 v * width + u, negative = not in that picture.  is_miss : (n, C) bool, the camera votes
     background.  depth : (n, C) m.  half_at_1m : (C,) half side, px, of the square that a voxel covers at 1 m.
-    shrink : picture pixels per cell.  canvas : (C, h, w) uint8 zeros, out: bit 0 where at most one other camera
-    votes background, bit 1 where none does.
+    shrink : picture pixels per cell.  canvas : (C, h, w) uint8 zeros, out: bit 0 where at most `tolerance` other
+    cameras vote background, bit 1 where none does.
     """
     n_cameras, rows, columns = canvas.shape
     for i in range(pixels.shape[0]):
@@ -312,7 +312,7 @@ def paint_left_out(pixels, is_miss, depth, width, half_at_1m, shrink, canvas):
             n_misses += is_miss[i, c]
         for c in range(n_cameras):
             n_others = n_misses - is_miss[i, c]
-            if pixels[i, c] < 0 or n_others > 1:
+            if pixels[i, c] < 0 or n_others > tolerance:
                 continue
             value = np.uint8(3 if n_others == 0 else 1)
             v = pixels[i, c] // width[c]

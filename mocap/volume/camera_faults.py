@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, SilhouetteEvidence, Snapshot
+from mocap.volume.consistency import MAX_LAG_FRAMES, MIN_CELLS, SHRINK, SilhouetteEvidence, Snapshot
 
 Array = NDArray[np.float64]
 Kind = Literal["moved", "lag", "rate", "frozen", "black", "blind", "misfit", "scene"]
@@ -323,21 +323,27 @@ def _black(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, int]]:
 
 
 def _frozen(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, int]]:
-    """Stretches in which the picture repeats, or, without pictures, the mask while the others' masks change."""
+    """Stretches in which the picture repeats, or, without pictures, the mask while the others' masks change.
+
+    A picture in which nobody is, and nobody is to be expected, may well stand still.
+    """
     own = evidence.picture_change[:, c]
     if np.isfinite(own).any():
         others = np.delete(evidence.picture_change, c, axis=1)
         liveliest = float(np.nanquantile(own, 0.9))
         usual = min(liveliest, _median(others)) if liveliest > 0 else _median(others)
         others_go_on = np.median(others, axis=1) > 2 * _FROZEN_PICTURE_SHARE * usual
-        still = own < _FROZEN_PICTURE_SHARE * usual
+        # Who walks away far off changes little in a picture, but his mask goes with him.
+        goes_on = evidence.change[:, c] > _MOVING_MASK_CHANGE
+        still = (own < _FROZEN_PICTURE_SHARE * usual) & ~goes_on
     else:
         others = np.delete(evidence.change, c, axis=1)
         with np.errstate(invalid="ignore"):
             others_go_on = np.count_nonzero(others > _MOVING_MASK_CHANGE, axis=1) >= 0.5 * others.shape[1]
             still = evidence.change[:, c] < _FROZEN_MASK_CHANGE
+    tells = others_go_on & (np.maximum(evidence.mask_cells[:, c], evidence.expected_cells[:, c]) >= MIN_CELLS)
     # In its first frames a codec still settles on the repeated picture.
-    stretches = [r for r in _runs(still, 3) if np.count_nonzero(others_go_on[slice(*r)]) >= _MIN_FRAMES]
+    stretches = [r for r in _runs(still, 3) if np.count_nonzero((tells & still)[slice(*r)]) >= _MIN_FRAMES]
     return [(_start_of_stillness(evidence, c, first), stop) for first, stop in stretches]
 
 

@@ -614,6 +614,16 @@ class Carver:
         centers = self.grid.centers(voxels)
         return np.column_stack([pixels_of_points(camera, centers) for camera in self.rig])
 
+    def judged_pixels(self, voxels: Voxels, pixels: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The pixels (N, C) of voxels (N,), -1 also where a voxel lies behind an occluder."""
+        judged = pixels.copy()
+        xyz = np.ascontiguousarray(self.grid.centers(voxels).T)
+        for c, camera in enumerate(self.rig):
+            own = np.ascontiguousarray(pixels[:, c])
+            self._hide(camera, xyz, own)
+            judged[:, c] = np.maximum(own, -1)
+        return judged
+
     def n_seen(self, voxels: Voxels) -> NDArray[np.uint8]:
         """How many cameras have each voxel in their picture, (N,) uint8."""
         return np.count_nonzero(self.pixels(voxels) >= 0, axis=1).astype(np.uint8)

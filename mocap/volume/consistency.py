@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import CameraRig, VoxelGrid
+from mocap.data import CameraRig, Occluders, VoxelGrid
 from mocap.volume import _kernels
 from mocap.volume.carve import Carver, check_masks
 
@@ -23,13 +23,17 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 Small = NDArray[np.uint8]
+Voxels = NDArray[np.int32]
 
 MAX_LAG_FRAMES = 8
 SHRINK = 4  # picture pixels per cell of the small masks
 _FOOTPRINT = 1.2  # width of a painted voxel, as in residuals.py
 _MIN_VIEWS = 4
-_MIN_CELLS = 12  # a silhouette with fewer cells says nothing
+MIN_CELLS = 12  # a silhouette with fewer cells says nothing
 _TOUCH_SHARE = 0.1  # of the hull's silhouette that a mask must cover to be the same person's
+_OPEN_SHARE = (
+    0.5  # of a hull in the picture, that no occluder hides, below which a camera is not judged by it
+)
 _SAMPLE_STEPS = (16, 4)  # every so many rows and columns of a picture are looked at
 _MAX_SNAPSHOTS = 96
 
@@ -66,6 +70,7 @@ class SilhouetteEvidence:
     strict: NDArray[np.float32]
     mask_cells: NDArray[np.int32]
     hull_cells: NDArray[np.int32]
+    expected_cells: NDArray[np.int32]
     change: NDArray[np.float32]
     picture_change: NDArray[np.float32]
     brightness: NDArray[np.float32]
@@ -77,13 +82,21 @@ class ConsistencyMonitor:
     """Collects evidence frame by frame: `add` every frame in order, then `evidence`.
 
     grid : where persons may be; it is resampled at voxel_size_m, because silhouettes of a coarse hull will do.
+    occluders : what stands before people; who is hidden from a camera is not expected in its mask.
     Memory is constant but for some hundred numbers per frame. Not thread-safe.
     """
 
-    def __init__(self, rig: CameraRig, grid: VoxelGrid, *, voxel_size_m: float = 0.05) -> None:
+    def __init__(
+        self,
+        rig: CameraRig,
+        grid: VoxelGrid,
+        occluders: Occluders | None = None,
+        *,
+        voxel_size_m: float = 0.05,
+    ) -> None:
         side = max(voxel_size_m, grid.voxel_size_m)
         self.rig = rig
-        self._carver = Carver(rig, VoxelGrid.from_bounds(grid.origin, grid.upper, side))
+        self._carver = Carver(rig, VoxelGrid.from_bounds(grid.origin, grid.upper, side), occluders=occluders)
         self._size = (max(c.size[1] for c in rig) // SHRINK, max(c.size[0] for c in rig) // SHRINK)
         self._width = np.array([c.size[0] for c in rig], dtype=np.int64)
         focal = np.array([max(c.K[0, 0], c.K[1, 1]) for c in rig])
@@ -103,11 +116,12 @@ class ConsistencyMonitor:
         before = self._recent[-1] if self._recent else None
         row.mask_cells[:] = np.count_nonzero(now.masks, axis=(1, 2))
         row.hull_cells[:] = now.hull_cells
+        row.expected_cells[:] = now.expected_cells
         if before is not None:
             changed = np.count_nonzero(now.masks ^ before.masks, axis=(1, 2))
             size = np.maximum(row.mask_cells, self._rows[-1].mask_cells)
             with np.errstate(invalid="ignore", divide="ignore"):
-                row.change[:] = np.where(size >= _MIN_CELLS, changed / size, np.nan)
+                row.change[:] = np.where(size >= MIN_CELLS, changed / size, np.nan)
         self._look_at(images, row)
         self._rows.append(row)
         self._recent.append(now)
@@ -129,6 +143,7 @@ class ConsistencyMonitor:
             strict=column("strict", 2 * MAX_LAG_FRAMES + 1),
             mask_cells=column("mask_cells"),
             hull_cells=column("hull_cells"),
+            expected_cells=column("expected_cells"),
             change=column("change"),
             picture_change=column("picture_change"),
             brightness=column("brightness"),
@@ -158,17 +173,40 @@ class ConsistencyMonitor:
         """(C, h, w) uint8 silhouettes of the others' hulls."""
         n = len(self.rig)
         canvas = np.zeros((n, *self._size), dtype=np.uint8)
-        # Whatever one camera is left out of, at most two votes are missing of all.
-        voxels = self._carver.carve(masks, n_faulty_views=min(2, n - 1), min_views=min(_MIN_VIEWS, n))
+        # Where things stand about, more is hidden than is known of, and masks break at edges.
+        is_furnished = self._carver.occluders is not None
+        tolerance = 2 if is_furnished else 1
+        # Whatever one camera is left out of, at most one vote more is missing of all.
+        voxels = self._carver.carve(
+            masks,
+            n_faulty_views=min(tolerance + 1, n - 1),
+            min_views=min(_MIN_VIEWS, n),
+            min_votes=min(2, n) if is_furnished else None,
+        )
         if len(voxels) == 0:
             return canvas
-        pixels = self._carver.pixels(voxels)
+        pixels = self._expected_pixels(voxels)
         is_miss = np.empty(pixels.shape, dtype=np.bool_)
         for c, mask in enumerate(masks):
             is_miss[:, c] = (pixels[:, c] >= 0) & ~mask.ravel().take(pixels[:, c], mode="clip")
         depth = self._carver.grid.centers(voxels) @ self._axes[:, :3].T + self._axes[:, 3]
-        _kernels.paint_left_out(pixels, is_miss, depth, self._width, self._half_at_1m, SHRINK, canvas)
+        _kernels.paint_left_out(
+            pixels, is_miss, depth, self._width, self._half_at_1m, SHRINK, tolerance, canvas
+        )
         return canvas
+
+    def _expected_pixels(self, voxels: Voxels) -> NDArray[np.int32]:
+        """Where each voxel (N,) is seen, (N, C), -1 = not; nowhere in a camera from which most of them are hidden.
+
+        What is left of somebody who is hidden is too little to judge a camera by: occluders are known to a voxel, and a
+        person is seen only in part at their edges.
+        """
+        pixels = self._carver.pixels(voxels)
+        n_inside = np.count_nonzero(pixels >= 0, axis=0)
+        pixels = self._carver.judged_pixels(voxels, pixels)
+        n_open = np.count_nonzero(pixels >= 0, axis=0)
+        pixels[:, n_open < _OPEN_SHARE * n_inside] = -1
+        return pixels
 
     def _look_at(self, images: Sequence[Image] | None, row: _Row) -> None:
         if images is None:
@@ -229,7 +267,7 @@ class _Frame:
         # What a mask must meet: the tighter silhouette, because a camera that sees foreground everywhere bloats the
         # other one.
         n_tight = np.count_nonzero(hulls & 2, axis=(1, 2))
-        self.expected_cells = np.where(n_tight >= _MIN_CELLS, n_tight, self.hull_cells)
+        self.expected_cells = np.where(n_tight >= MIN_CELLS, n_tight, self.hull_cells)
 
 
 class _Row:
@@ -242,6 +280,7 @@ class _Row:
         self.strict = np.full((n_cameras, lags), np.nan, dtype=np.float32)
         self.mask_cells = np.zeros(n_cameras, dtype=np.int32)
         self.hull_cells = np.zeros(n_cameras, dtype=np.int32)
+        self.expected_cells = np.zeros(n_cameras, dtype=np.int32)
         self.change = np.full(n_cameras, np.nan, dtype=np.float32)
         self.picture_change = np.full(n_cameras, np.nan, dtype=np.float32)
         self.brightness = np.full(n_cameras, np.nan, dtype=np.float32)
@@ -249,7 +288,7 @@ class _Row:
 
     def enter(self, c: int, column: int, own: _Frame, other: _Frame) -> None:
         """Compare camera c's mask in one frame with the silhouette of the others' hull in another."""
-        if other.hull_cells[c] < _MIN_CELLS:
+        if other.hull_cells[c] < MIN_CELLS:
             return
         common = np.zeros(2, dtype=np.int64)
         if own.cells[c]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mocap.data import Camera, CameraRig, Occluders, VoxelGrid
 from mocap.volume import _occluder_kernels as kernels
-from mocap.volume.carve import Carver, pixels_of_points
+from mocap.volume.carve import MIN_VOTES, Carver, pixels_of_points
 from mocap.volume.components import connected_components
 from mocap.volume.surface import surface_voxels
 
@@ -31,23 +31,26 @@ Votes = NDArray[np.uint16]
 Voxels = NDArray[np.int32]
 
 EMPTY, PARTLY, FULL = 0, 1, 2  # of a cell, how much is foreground
-CELL_PX = (
-    4  # picture pixels per cell of the maps; a furniture edge is known no better than to a voxel of 5 cm
-)
+CELL_PX = 4  # picture pixels per cell of the maps; an edge is known no better than to a voxel of 5 cm
 VOXEL_M = 0.05
 MIN_CAMERAS = 4  # with three, a camera that is hidden leaves two, and two cones cross in many places
 _MOST_ENTRIES = 8_000_000  # voxels times cameras of the grid of votes: 64 MB of tables
 _N_LOOKS = 2
-_MIN_BLOCKED = 4
-# A thing is what hangs together with voxels of so many votes: what frayed silhouettes leave in rooms without furniture
-# had at most 5 (two realistic walks of 98 and 120 frames), a table and a cabinet 13 to 16.
-_SURE_BLOCKED = 8
-_MIN_LITRES = 1.0
+# Fewer votes than 5 know more of what is hidden for a moment, and of what is not there; 6 miss a third of a column.
+_MIN_BLOCKED = 5
+# A thing is large, or smaller with voxels that are sure. In rooms without furniture frayed silhouettes leave 1.1 litres
+# and 8 votes at most (two realistic walks of 98 and 120 frames); a table and a cabinet 130 and 240 litres, up to 28.
+_LARGE_LITRES = 8.0
+_SURE_BLOCKED = 12
+_MIN_LITRES = 2.0
 _FREE_PER_BLOCKED = 9  # at least nine votes of ten: silhouettes have frayed edges
-_STEP_M = 0.1  # how far a person must have gone to give evidence again: a hole in a mask goes with the person
+_STEP_M = (
+    0.05  # how far a person must have gone to give evidence again: a hole in a mask goes with the person
+)
 _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
-_SHELL_VOXELS = 1  # how much of a generous hull is taken off before it counts as a person
+# Share of a mask outside the silhouette of a hull that allows most cameras to be wrong. Healthy masks have hardly any.
+_ASTRAY_SHARE = 0.3
 
 
 class OccluderLearner:
@@ -75,22 +78,26 @@ class OccluderLearner:
         self._tables = [_rays_of(camera, self._space) for camera in self._rig]
         self.n_free = np.zeros(self._space.n_voxels, dtype=np.uint16)
         self.n_blocked = np.zeros(self._space.n_voxels, dtype=np.uint16)
-        self._voted = np.zeros((0, 3))
+        self._places = np.zeros((0, 3))
 
     def add(self, cells: Sequence[Cells]) -> bool:
         """Take one frame; returns whether it has said anything new.
 
         cells : the masks as of `masks_by_cells`, (h, w) uint8 per camera.
         """
-        core = self._core([c == FULL for c in cells])
+        hull, core = self._persons([c == FULL for c in cells])
         if len(core) == 0:
             return False
+        side = self._carver.grid.voxel_size_m
         for camera, own, table in zip(self._rig, cells, self._tables, strict=True):
-            near = _nearest_depth(camera, core, self._carver.grid.voxel_size_m)
+            silhouette = np.isfinite(_nearest_depth(camera, hull, side))
+            if np.count_nonzero((own == FULL) & ~silhouette) > _ASTRAY_SHARE * np.count_nonzero(own == FULL):
+                continue  # it sees somebody, elsewhere: it has moved, lags, or others see too little
+            near = _nearest_depth(camera, core, side)
             verdict = np.full(own.shape, kernels.NO_VOTE, dtype=np.uint8)
             is_near = np.isfinite(near)
             verdict[is_near & (own == FULL)] = kernels.FREE
-            verdict[is_near & (cv2.dilate(own, np.ones((3, 3), np.uint8)) == 0)] = kernels.BLOCKED
+            verdict[is_near & (cv2.dilate(own, np.ones((3, 3), np.uint8)) == EMPTY)] = kernels.BLOCKED
             kernels.vote_along_rays(
                 near.ravel(), verdict.ravel(), *table, BLOCKED_MARGIN_M, self.n_free, self.n_blocked
             )
@@ -102,32 +109,34 @@ class OccluderLearner:
         points = self._space.centers(solid_voxels(self._space, self.n_free, self.n_blocked))
         return Occluders({c.name: _nearest_depth(c, points, side) for c in self._rig}, CELL_PX)
 
-    def _core(self, masks: Sequence[Mask]) -> Array:
-        """Inner voxels (N, 3) m of those persons who stand where none has given evidence yet."""
-        grid = self._carver.grid
-        n = len(self._rig)
+    def _persons(self, masks: Sequence[Mask]) -> tuple[Array, Array]:
+        """Voxels (N, 3) m of everybody, and inner ones (K, 3) m of those who stand where none has given evidence."""
+        grid, n = self._carver.grid, len(self._rig)
         voxels = self._carver.carve(
-            masks, n_faulty_views=self._n_faulty, min_views=min(4, n), min_votes=min(3, n)
+            masks, n_faulty_views=self._n_faulty, min_views=min(4, n), min_votes=min(MIN_VOTES, n)
         )
-        if len(voxels) == 0:
-            return np.zeros((0, 3))
+        hull = grid.centers(voxels)
         labels, n_found = connected_components(voxels, grid)
         litres = np.bincount(labels, minlength=n_found) * grid.voxel_size_m**3 * 1000.0
-        is_inner = np.ones(len(voxels), dtype=np.bool_)
-        for _ in range(_SHELL_VOXELS):
-            inner = np.flatnonzero(is_inner)
-            is_inner[inner[surface_voxels(voxels[inner], grid)]] = False
-        parts = []
+        is_inner = ~surface_voxels(voxels, grid)
+        core = [np.zeros((0, 3))]
         for k in np.flatnonzero(litres >= _PERSON_LITRES):
-            points = grid.centers(voxels[is_inner & (labels == k)])
-            if len(points) == 0:
-                continue
-            middle = points.mean(axis=0)
-            if len(self._voted) and np.linalg.norm(self._voted - middle, axis=1).min() < _STEP_M:
-                continue
-            self._voted = np.vstack([self._voted, middle])
-            parts.append(points)
-        return np.concatenate(parts) if parts else np.zeros((0, 3))
+            points = hull[is_inner & (labels == k)]
+            if len(points) and self._is_new(points.mean(axis=0)):
+                core.append(points)
+        return hull, np.concatenate(core)
+
+    def _is_new(self, place: Array) -> bool:
+        """Whether nobody has given evidence near a place (3,) m; from now on somebody has."""
+        if len(self._places) and np.linalg.norm(self._places - place, axis=1).min() < _STEP_M:
+            return False
+        self._places = np.vstack([self._places, place])
+        return True
+
+
+def no_occluders() -> Occluders:
+    """Nothing stands anywhere."""
+    return Occluders({}, CELL_PX)
 
 
 def learn_occluders(rig: CameraRig, grid: VoxelGrid, masks_of_frames: Iterable[Sequence[Mask]]) -> Occluders:
@@ -135,18 +144,17 @@ def learn_occluders(rig: CameraRig, grid: VoxelGrid, masks_of_frames: Iterable[S
 
     masks_of_frames : per frame one (H, W) bool per camera, in rig order. Fewer than MIN_CAMERAS cameras tell nothing.
     """
-    nothing = Occluders({}, CELL_PX)
+    found = no_occluders()
     if len(rig) < MIN_CAMERAS:
-        return nothing
+        return found
     frames = [masks_by_cells(masks) for masks in masks_of_frames]
-    found = nothing
     for _ in range(_N_LOOKS):
         learner = OccluderLearner(rig, grid, found)
         for cells in frames:
             learner.add(cells)
         found = learner.occluders()
         if found.is_empty:
-            return nothing
+            break
     return found
 
 
@@ -158,7 +166,8 @@ def solid_voxels(space: VoxelGrid, n_free: Votes, n_blocked: Votes) -> Voxels:
     labels, n = connected_components(voxels, space)
     litres = np.bincount(labels, minlength=n) * space.voxel_size_m**3 * 1000.0
     n_sure = np.bincount(labels, weights=blocked[voxels] >= _SURE_BLOCKED, minlength=n)
-    return voxels[((litres >= _MIN_LITRES) & (n_sure > 0))[labels]]
+    is_thing = (litres >= _LARGE_LITRES) | ((litres >= _MIN_LITRES) & (n_sure > 0))
+    return voxels[is_thing[labels]]
 
 
 def masks_by_cells(masks: Sequence[Mask]) -> list[Cells]:

@@ -138,9 +138,9 @@ def test_run_json(full: RunResult) -> None:
         FPS,
     )
     assert about["config"]["volume"]["voxel_size_m"] == 0.04
-    assert set(about["stages"]) == {"segment", "carve", "track", "pose", "report"}
+    assert set(about["stages"]) == {"segment", "occluders", "carve", "track", "pose", "report"}
     assert all(s["wall_s"] > 0 and s["frames_per_s"] > 0 for s in about["stages"].values())
-    assert set(about["stage_keys"]) == {"segment", "carve", "track", "pose"}
+    assert set(about["stage_keys"]) == {"segment", "occluders", "carve", "track", "pose"}
     for key in ("config_hash", "code_hash", "warnings", "versions", "peak_memory_mb", "total_s", "scores"):
         assert about[key] is not None, key
     assert about["versions"]["numpy"] == np.__version__
@@ -311,12 +311,12 @@ def test_resume_reuses_what_has_not_changed(plain: RunResult, masks_session: Pat
     shutil.copytree(plain.out, out)
     before = files_of(out)
     again = run_session(masks_session, out, config=plain_config(), seed=SEED, resume=True)
-    assert again.reused == ("segment", "carve", "track", "pose")
+    assert again.reused == ("segment", "occluders", "carve", "track", "pose")
     assert set(again.timings_s) == {"report"}
     assert files_of(out) == before
 
     other_seed = run_session(masks_session, out, config=plain_config(), seed=SEED + 1, resume=True)
-    assert other_seed.reused == ("segment", "carve", "track")
+    assert other_seed.reused == ("segment", "occluders", "carve", "track")
     coarser = load_config("default", (*PLAIN, "volume.voxel_size_m=0.05"))
     assert run_session(masks_session, out, config=coarser, until="track", resume=True).reused == ("segment",)
     anew = run_session(masks_session, out, config=plain_config(), until="segment")
@@ -337,7 +337,7 @@ class Killed(Exception):
     """Stands for a killed process."""
 
 
-@pytest.mark.parametrize("stage", ["segment", "carve", "track", "pose", "report"])
+@pytest.mark.parametrize("stage", ["segment", "occluders", "carve", "track", "pose", "report"])
 def test_killed_in_a_stage(
     stage: str, plain: RunResult, masks_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -355,12 +355,12 @@ def test_killed_in_a_stage(
     assert {k: v for k, v in digests(out).items() if "store.zarr" not in k} == before
     store = StageStore(out / "store.zarr")
     keys = stage_keys(library.open_session(masks_session), plain_config(), SEED + 1)
-    order = ["segment", "carve", "track", "pose", "report"]
+    order = ["segment", "occluders", "carve", "track", "pose", "report"]
     n_done = order.index(stage)
-    assert [store.is_complete(s, keys[s]) for s in order[:4]] == [
+    assert [store.is_complete(s, keys[s]) for s in order[:5]] == [
         # Products before the pose do not depend on the seed: those of the earlier run serve as well.
-        s != "pose" or n_done == 4
-        for s in order[:4]
+        s != "pose" or n_done == 5
+        for s in order[:5]
     ]
     resumed = run_session(masks_session, out, config=plain_config(), seed=SEED + 1, resume=True)
     assert set(order[:n_done]) <= set(resumed.reused)
@@ -378,9 +378,9 @@ def test_killed_in_a_fresh_folder(plain: RunResult, masks_session: Path, tmp_pat
     with pytest.raises(Killed):
         run_session(masks_session, out, config=plain_config(), seed=SEED, progress=interrupt)
     assert [p.name for p in out.iterdir()] == ["store.zarr"]
-    assert [p.name for p in (out / "store.zarr").iterdir() if p.is_dir()] == ["segment"]
+    assert {p.name for p in (out / "store.zarr").iterdir() if p.is_dir()} == {"occluders", "segment"}
     resumed = run_session(masks_session, out, config=plain_config(), seed=SEED, resume=True)
-    assert resumed.reused == ("segment",)
+    assert resumed.reused == ("segment", "occluders")
     assert files_of(out) == files_of(plain.out)
 
 

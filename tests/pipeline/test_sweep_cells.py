@@ -132,14 +132,13 @@ def test_cells_share_what_does_not_depend_on_their_seed(folder: Path, tracker: s
     planned = plan_jobs(spec, plan_cells(spec), folder / "out", n_threads=1, keep_runs=False)
     chains = [chain for _, chain in planned if isinstance(chain, list)]
     assert len(chains) == 4
-    keys = {
-        stage: {c[i].key for c in chains} for i, stage in enumerate(("segment", "carve", "track", "cell"))
-    }
-    assert [len(keys[stage]) for stage in keys] == [1, 1, n_tracks, 4]
+    stages = ("segment", "occluders", "carve", "track", "cell")
+    keys = {stage: {c[i].key for c in chains} for i, stage in enumerate(stages)}
+    assert [len(keys[stage]) for stage in keys] == [1, 1, 1, n_tracks, 4]
     # The product is made with the settings and the seed that its key stands for.
-    seeds = {c[2].key: set() for c in chains}  # type: ignore[var-annotated]
+    seeds = {c[3].key: set() for c in chains}  # type: ignore[var-annotated]
     for chain in chains:
-        seeds[chain[2].key].add(chain[2].parameters["seed"])
+        seeds[chain[3].key].add(chain[3].parameters["seed"])
     assert all(len(found) == 2 // n_tracks for found in seeds.values())
 
 

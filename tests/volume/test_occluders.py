@@ -6,16 +6,17 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from test_volume_carve import SMALLEST_TABLE_MB, hard_scene
 
 from mocap.data import Camera, CameraRig, Occluders, VoxelGrid, n_judges
 from mocap.volume import Carver, OccluderLearner, carve_bruteforce, learn_occluders, masks_by_cells
 from mocap.volume import _occluder_kernels as kernels
 from mocap.volume.carve import unknown_bruteforce
 from mocap.volume.occluders import BLOCKED_MARGIN_M, solid_voxels
-from tests.volume.test_volume_carve import SMALLEST_TABLE_MB, hard_scene
 
 SIZE = (240, 180)
 N_CAMERAS = 6
+N_FRAMES = 90
 PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.2, 1.75
 BOX = np.array([[0.3, -0.5, 0.0], [0.6, 0.4, 0.8]])  # a cupboard that hides legs
 ROOM = VoxelGrid.from_bounds(np.array([-1.8, -1.8, 0.0]), np.array([1.8, 1.8, 2.0]), 0.06)
@@ -82,7 +83,7 @@ def pictures(places: np.ndarray, *, with_box: bool) -> list[list[np.ndarray]]:
 
 @lru_cache
 def clip(with_box: bool) -> list[list[np.ndarray]]:
-    return pictures(path(60), with_box=with_box)
+    return pictures(path(N_FRAMES), with_box=with_box)
 
 
 @lru_cache
@@ -96,7 +97,7 @@ def volume_of(at: np.ndarray, occluders: Occluders | None, masks: list[np.ndarra
 
 def test_a_cupboard_is_learnt_and_legs_behind_it_are_carved():
     whole, plain, aware, surplus = 0, 0, 0, 0
-    for at, masks, complete in list(zip(path(60), clip(True), clip(False), strict=True))[::6]:
+    for at, masks, complete in list(zip(path(N_FRAMES), clip(True), clip(False), strict=True))[::6]:
         true = volume_of(at, None, complete)
         seen, better = volume_of(at, None, masks), volume_of(at, learnt(), masks)
         whole += len(true)
@@ -152,7 +153,7 @@ def test_the_order_of_cameras_does_not_matter():
 
 def test_frames_in_which_nobody_is_seen_say_nothing():
     nobody = [np.zeros(SIZE[::-1], dtype=np.bool_)] * N_CAMERAS
-    with_gap = [*clip(True)[:30], *[nobody] * 30, *clip(True)[30:]]
+    with_gap = [*clip(True)[:40], *[nobody] * 20, *clip(True)[40:]]
     found = learn_occluders(ring_rig(), ROOM, with_gap)
     for name, depth in learnt().depth_m.items():
         np.testing.assert_array_equal(found.depth_m[name], depth)
@@ -162,7 +163,7 @@ def test_a_camera_that_never_sees_anybody_is_hidden_where_they_walk():
     frames = [[*masks[:3], np.zeros_like(masks[3]), *masks[4:]] for masks in clip(False)]
     found = learn_occluders(ring_rig(), ROOM, frames)
     camera = ring_rig()[3]
-    middle = np.column_stack([path(60), np.full(60, 0.9)])
+    middle = np.column_stack([path(N_FRAMES), np.full(N_FRAMES, 0.9)])
     assert found.hides(camera, middle).mean() > 0.9
     assert not any(found.hides(c, middle).any() for i, c in enumerate(ring_rig()) if i != 3)
 
@@ -242,14 +243,30 @@ def test_judges_are_the_cameras_before_whom_nothing_stands():
     assert inside[2] == 0
 
 
+def test_hidden_pixels_are_those_of_things_before_the_person():
+    camera = ring_rig()[0]
+    depth = np.full((45, 60), np.inf, dtype=np.float32)
+    depth[10:20, 5:9], depth[30:40, 5:9] = 1.5, 3.5
+    occluders = Occluders({"c0": depth}, 4)
+    somebody = camera.unproject(np.array([[100.0, 90.0], [120.0, 80.0]]), np.array([2.5, 2.7]))
+    hidden = occluders.hidden_pixels(camera, somebody)
+    expected = np.zeros((180, 240), dtype=np.bool_)
+    expected[40:80, 20:36] = True
+    np.testing.assert_array_equal(hidden, expected)
+    assert (
+        occluders.hidden_pixels(camera, camera.unproject(np.array([[100.0, 90.0]]), np.array([1.0]))) is None
+    )
+    assert occluders.hidden_pixels(ring_rig()[1], somebody) is None
+
+
 def test_votes_that_decide():
     space = VoxelGrid(np.zeros(3), (6, 7, 8), 0.05)
     n_blocked = np.zeros(space.n_voxels, dtype=np.uint16)
     n_free = np.zeros_like(n_blocked)
-    thing = space.linear(np.array([[x, y, 1] for x in range(3) for y in range(4)]))
-    n_blocked[thing] = 4
+    thing = space.linear(np.array([[x, y, 1] for x in range(4) for y in range(5)]))
+    n_blocked[thing] = 5
     assert len(solid_voxels(space, n_free, n_blocked)) == 0  # nowhere sure
-    n_blocked[thing[5]] = 8
+    n_blocked[thing[5]] = 12
     np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing))
     n_free[thing[0]] = 1
     np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing[1:]))

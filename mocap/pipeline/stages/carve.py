@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import Hull, VoxelGrid
+from mocap.data import Hull, Occluders, VoxelGrid
+from mocap.data.voxels import Voxels
 from mocap.errors import MocapError
 from mocap.foreground.pixels import sample_silhouettes
 from mocap.io.session import Session
@@ -27,6 +28,7 @@ from mocap.pipeline.stage import (
 )
 from mocap.products.hulls import PRODUCT, hull_attrs, hull_row, stored_faults, stored_grid
 from mocap.products.masks import read_masks
+from mocap.products.occluders import stored_occluders
 from mocap.volume import (
     CameraFault,
     Carver,
@@ -40,6 +42,7 @@ from mocap.volume import (
 
 _EMPTY_SHARE = 0.1
 _MIN_CAMERAS = 3
+_AROUND_M = 0.3  # how far from a hull the unknown is of interest
 _REMEDIES = {
     "moved": "calibrate it again from that frame on, or leave these frames out",
     "lag": "shift its clip by that many frames",
@@ -81,8 +84,8 @@ def faulty_views(session: Session, config: Config, n_excluded: int = 0) -> int:
 class _Carving:
     """Grid and carvers of a session, one carver for each set of cameras that is used."""
 
-    def __init__(self, session: Session, config: Config) -> None:
-        self.session, self.config = session, config
+    def __init__(self, session: Session, config: Config, occluders: Occluders) -> None:
+        self.session, self.config, self.occluders = session, config, occluders
         self.grid = grid_of(session, config)
         self.rig = session.rig
         self._carvers: dict[tuple[str, ...], Carver] = {}
@@ -90,7 +93,7 @@ class _Carving:
 
     def carver(self, names: tuple[str, ...]) -> Carver:
         if names not in self._carvers:
-            self._carvers[names] = Carver(self.rig.subset(names), self.grid)
+            self._carvers[names] = Carver(self.rig.subset(names), self.grid, occluders=self.occluders)
         return self._carvers[names]
 
     def hull(
@@ -98,20 +101,24 @@ class _Carving:
         masks: Sequence[NDArray[np.bool_]],
         pictures: Sequence[NDArray[np.uint8]] | None,
         used: NDArray[np.bool_],
-    ) -> Hull:
-        """The hull of one frame from the cameras in use."""
+    ) -> tuple[Hull, Voxels]:
+        """The hull of one frame from the cameras in use, and the voxels around it of which nothing is known."""
         settings = self.config.volume
         rows = np.flatnonzero(used).tolist()
         carver = self.carver(tuple(self.rig.names[i] for i in rows))
-        voxels = carver.carve(
-            [masks[i] for i in rows],
-            n_faulty_views=faulty_views(self.session, self.config, len(masks) - len(rows)),
-            min_views=None if settings.min_views == "auto" else min(settings.min_views, len(rows)),
-            outside=settings.outside_view,
-        )
+        own = [masks[i] for i in rows]
+        k = faulty_views(self.session, self.config, len(masks) - len(rows))
+        min_views = None if settings.min_views == "auto" else min(settings.min_views, len(rows))
+        voxels = carver.carve(own, n_faulty_views=k, min_views=min_views, outside=settings.outside_view)
+        unknown = np.zeros(0, dtype=np.int32)
+        if carver.occluders is not None and len(voxels):
+            subs, reach = self.grid.subscripts(voxels), round(_AROUND_M / self.grid.voxel_size_m)
+            box = subs.min(axis=0) - reach, subs.max(axis=0) + reach + 1
+            unknown = carver.unknown(own, *box, n_faulty_views=k, min_views=min_views)
         images = None if pictures is None else [pictures[i] for i in rows]
         is_surface = surface_voxels(voxels, self.grid)
-        return colour_hull(voxels, is_surface, self.grid, carver.rig, images, settings.visibility)
+        hull = colour_hull(voxels, is_surface, self.grid, carver.rig, images, settings.visibility)
+        return hull, unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +143,7 @@ def _reads(job: Job) -> Sources:
 def _start(job: Job) -> _Walk:
     session, config = job.session, job.config
     try:
-        carving = _Carving(session, config)
+        carving = _Carving(session, config, stored_occluders(job.store, session.rig))
         k = faulty_views(session, config)
         if not 0 <= k < len(session.rig):
             raise ValueError(f"n_faulty_views is {k}, the rig has {len(session.rig)} cameras")
@@ -147,7 +154,7 @@ def _start(job: Job) -> _Walk:
         ) from error
     monitor = None
     if config.volume.on_bad_camera != "ignore":
-        monitor = ConsistencyMonitor(session.rig, carving.grid)
+        monitor = ConsistencyMonitor(session.rig, carving.grid, carving.occluders)
     return _Walk(carving, _used(session, ()), monitor)
 
 
@@ -161,11 +168,11 @@ def _used(session: Session, faults: tuple[CameraFault, ...]) -> NDArray[np.bool_
 def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Sequence[Row]]:
     assert seen.masks is not None
     used = walk.used[seen.index]
-    hull = walk.carving.hull(seen.masks, seen.pictures, used)
+    hull, unknown = walk.carving.hull(seen.masks, seen.pictures, used)
     if walk.monitor is not None:
         walk.monitor.add(seen.frame, seen.masks, seen.pictures)
     pixels = sample_silhouettes(seen.masks, seen.pictures, used)
-    return walk, [Row(PRODUCT, seen.frame, hull_row(hull, used, pixels))]
+    return walk, [Row(PRODUCT, seen.frame, hull_row(hull, unknown, used, pixels))]
 
 
 def _finish(walk: _Walk) -> Ending:
@@ -235,7 +242,7 @@ CARVE = Stage(
     # Coloured hulls of every frame. Source: CF 2.2.4.
     work=FrameWork(_reads, _start, _step, _finish),
     report=carve_report,
-    needs=("segment",),
+    needs=("segment", "occluders"),
     sections=("volume",),
     facts=("room_bounds_m",),
 )

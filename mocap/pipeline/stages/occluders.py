@@ -1,0 +1,111 @@
+"""Occluders: from masks to maps of what stands in front of people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.pipeline.stage import Ending, FrameWork, Job, Row, Seen, Sources, Stage, StageReport
+from mocap.pipeline.stages.carve import grid_of
+from mocap.products import masks as masks_product
+from mocap.products.masks import read_masks
+from mocap.products.occluders import PRODUCT, occluder_attrs, occluder_rows, stored_occluders
+from mocap.volume import OccluderLearner, masks_by_cells, no_occluders
+from mocap.volume.occluders import MIN_CAMERAS
+
+_LOOKS_PER_S = 30.0  # a person who walks is 0.05 m further by then, and gives evidence again
+_SOMEBODY = 0.0005  # of a picture: 150 of 640 x 480 pixels, a person 20 m away
+_IDLE_SHARE, _FEW_FRAMES = 0.9, 5
+_MOST_LOOKS = 600  # frames of a clip that are looked at; a clip of an hour costs no more than one of a minute
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """One look at the clip.
+
+    learner : None where nothing can be learnt.  stride : every so many frames are looked at.  is_first : the second
+    look knows what the first has found.
+    """
+
+    job: Job
+    learner: OccluderLearner | None
+    stride: int
+    is_first: bool = True
+
+
+def _reads(job: Job) -> Sources:
+    return {"masks": read_masks(job.store, job.session)}
+
+
+def _start(job: Job) -> _Look:
+    volume, rig = job.config.volume, job.session.rig
+    # Who counts what lies outside a picture as empty cannot abstain inside it.
+    is_wanted = volume.occluders == "learn" and volume.outside_view == "abstain" and len(rig) >= MIN_CAMERAS
+    learner = OccluderLearner(rig, grid_of(job.session, job.config)) if is_wanted else None
+    n = len(job.session.frames)
+    return _Look(job, learner, max(1, round(job.session.fps / _LOOKS_PER_S), math.ceil(n / _MOST_LOOKS)))
+
+
+def _step(look: _Look, seen: Seen) -> tuple[_Look, Sequence[Row]]:
+    assert seen.masks is not None
+    if look.learner is not None and seen.index % look.stride == 0:
+        look.learner.add(masks_by_cells(seen.masks))
+    return look, ()
+
+
+def _finish(look: _Look) -> Ending:
+    """Another look with what the first has found: where legs were hidden from half of the cameras it had no hull."""
+    rig, found = look.job.session.rig, no_occluders()
+    if look.learner is not None:
+        found = look.learner.occluders()
+        if look.is_first and not found.is_empty:
+            learner = OccluderLearner(rig, grid_of(look.job.session, look.job.config), found)
+            return Ending(again=_Look(look.job, learner, look.stride, is_first=False))
+    return Ending(
+        rows=[Row(PRODUCT, c, arrays) for c, arrays in occluder_rows(found, rig)],
+        attrs={PRODUCT: occluder_attrs(found)},
+    )
+
+
+def occluders_report(job: Job) -> StageReport:
+    """Share of each picture in which something can stand before people, and cameras that see next to nobody."""
+    names = job.session.rig.names
+    shares = stored_occluders(job.store, job.session.rig).shares
+    foreground = np.array([arrays["share"] for _, arrays in job.store.reader(masks_product.PRODUCT)])
+    warnings = tuple(
+        f"camera {name}: nobody is in its silhouettes where most other cameras see somebody: it looks at furniture, or "
+        "people are not told from what is behind them. Remedy: look at its silhouettes in the report; place it "
+        "where it sees the floor on which people walk"
+        for name, is_idle in zip(names, idle_cameras(foreground), strict=True)
+        if is_idle
+    )
+    return StageReport(warnings, {"picture_share": {name: round(shares.get(name, 0.0), 4) for name in names}})
+
+
+def idle_cameras(foreground: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Cameras, (C,), without foreground in nearly all frames in which most others have some.
+
+    foreground : (T, C) share of each picture.
+    """
+    sees = foreground > _SOMEBODY
+    n_others = foreground.shape[1] - 1
+    is_asked = sees.sum(axis=1, keepdims=True) - sees >= max(2, (n_others + 1) // 2)
+    n_asked, n_idle = is_asked.sum(axis=0), (is_asked & ~sees).sum(axis=0)
+    return (n_asked >= _FEW_FRAMES) & (n_idle >= _IDLE_SHARE * n_asked)
+
+
+OCCLUDERS = Stage(
+    name="occluders",
+    until="occluders",
+    products=(PRODUCT,),
+    # Where something stands between cameras and people, from their silhouettes.
+    work=FrameWork(_reads, _start, _step, _finish),
+    report=occluders_report,
+    needs=("segment",),
+    sections=("volume",),
+    facts=("fps", "room_bounds_m"),
+)
