@@ -28,7 +28,8 @@ class FrameSeries:
     states : (T, D).  information : (T, D, D) inverse covariance of the refined state, 0 where there is none.
     spread : (T, 15, 3, 3) m^2, of the particles about the estimate.  misfit : (T, P) nats >= 0, how badly every part
     fits the volume.  unexplained : (T,) share of the hull's surface that lies far from the body.  blind_std : (T,) m,
-    what a pose that was carried on has gained since the last hull, 0 = seen.
+    what a pose that was carried on has gained since the last hull, 0 = seen.  hidden_std : (T, 15) m, the same for a
+    landmark that too few cameras could judge while others saw the rest.
     """
 
     states: Array
@@ -37,6 +38,7 @@ class FrameSeries:
     misfit: Array
     unexplained: Array
     blind_std: Array
+    hidden_std: Array
 
     def __len__(self) -> int:
         return len(self.states)
@@ -74,12 +76,14 @@ def landmark_covariances(
 
     is_refined : the covariance of the fit, from its normal matrix, and what the fit does not know: the body's own
     errors, and the chance that a limb which fits badly is lost (`DeviationSettings.of_landmark`). Otherwise the spread
-    of the particles takes the place of the fit's. A hull that the body does not explain, and a pose that was carried
-    on, add to both.
+    of the particles takes the place of the fit's. A hull that the body does not explain, a pose that was carried on and
+    a landmark that could not be seen add to both.
     """
     floor, per_nat = np.array([settings.of_landmark[landmark_kind(name)] for name in LANDMARKS]).T
     misfit = landmark_misfit(body, series, settings.most_misfit_nats)
-    own = floor**2 + (per_nat * misfit) ** 2 + astray_variance(series, settings)[:, None]
+    own = (
+        floor**2 + (per_nat * misfit) ** 2 + astray_variance(series, settings)[:, None] + series.hidden_std**2
+    )
     out = own[:, :, None, None] * np.eye(3)
     if not is_refined:
         return np.asarray(out + series.spread)

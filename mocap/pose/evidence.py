@@ -52,8 +52,8 @@ class FrameFit:
     """How one state fits its frame.
 
     information : (D, D) inverse covariance of a refined state, 0 where there is none.  misfit : (P,) nats >= 0, how
-    badly every part fits.  unexplained : share of the data that lies far from the body.  observed : (M,) bool, of
-    every landmark.
+    badly every part fits.  unexplained : share of the data that lies far from the body.  observed, judged : (M,) bool,
+    of every landmark: whether it was seen, and whether it could have been.
     """
 
     information: Array
@@ -61,6 +61,7 @@ class FrameFit:
     unexplained: float
     log_likelihood: float
     observed: NDArray[np.bool_]
+    judged: NDArray[np.bool_]
 
 
 class FrameEvidence(Protocol):

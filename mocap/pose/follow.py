@@ -133,8 +133,8 @@ def both_ways(n_rows: int, start: int) -> tuple[tuple[str, range], tuple[str, ra
 
 @dataclass(frozen=True, eq=False)
 class FramePose:
-    """The pose of one frame.  row : index into the person's frames; information, spread, misfit, unexplained and
-    blind_std as in `FrameSeries`, the rest as in `PersonPoses`.
+    """The pose of one frame.  row : index into the person's frames; information, spread, misfit, unexplained,
+    blind_std and hidden_std as in `FrameSeries`, the rest as in `PersonPoses`.
     """
 
     row: int
@@ -145,6 +145,7 @@ class FramePose:
     misfit: Array
     unexplained: float
     blind_std: float
+    hidden_std: Array
     observed: NDArray[np.bool_]
     log_likelihood: float
     evidence: float
@@ -184,6 +185,7 @@ class OnePose:
         self._xyz = self._place_at(first_row)
         self._last_row: int | None = None
         self._blind_std, self._n_blind = 0.0, 0
+        self._hidden_std = np.zeros(len(LANDMARKS))
         self._limbs = LimbSchedule(self.settings.method.limb_search)
         self._loss = FallenEvidence(self.settings.method.restart)
 
@@ -207,6 +209,7 @@ class OnePose:
             misfit=np.zeros(layout.n_parts),
             unexplained=0.0,
             blind_std=float(np.hypot(self.settings.method.follow.blind_std_m, self._blind_std)),
+            hidden_std=np.zeros(len(LANDMARKS)),
             observed=np.zeros(len(LANDMARKS), dtype=np.bool_),
             log_likelihood=float("nan"),
             evidence=float("nan"),
@@ -314,6 +317,8 @@ class OnePose:
             self._particles = _fed_back(self._particles, now.state, self.settings.feedback_share)
         self.clip.observation.learn(self._evidence, now.state)
         fit = self._evidence.fit(now.state, self._info.observed_parts)
+        self._hidden_std = np.where(fit.judged, 0.0, self._hidden_std + self.tools.noise_std[0])
+        blind_m = self.settings.method.follow.blind_std_m
         return FramePose(
             row=self._row,
             state=now.state,
@@ -323,6 +328,7 @@ class OnePose:
             misfit=fit.misfit,
             unexplained=fit.unexplained,
             blind_std=0.0,
+            hidden_std=np.where(fit.judged, 0.0, np.hypot(blind_m, self._hidden_std)),
             observed=fit.observed,
             log_likelihood=fit.log_likelihood,
             evidence=now.value,

@@ -154,12 +154,14 @@ class MarkerEvidence:
     def fit(self, state: Array, kept_parts: NDArray[np.bool_] | None = None) -> FrameFit:
         """How a state (D,) fits; a landmark is observed when a marker near it is matched in two views or more."""
         matched = self.tools.fit_problem(self.observation).matched_at(state)
+        observed = observed_landmarks(self.tools, matched)
         return FrameFit(
             information=matched.normal_equations(state)[1],
             misfit=np.zeros(self.tools.body.layout.n_parts),
             unexplained=0.0,
             log_likelihood=float(self.search.log_likelihood(state[None]).sum()),
-            observed=observed_landmarks(self.tools, matched),
+            observed=observed,
+            judged=np.ones(len(observed), dtype=np.bool_),
         )
 
 

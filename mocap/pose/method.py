@@ -44,6 +44,8 @@ class EvidenceSettings(_Strict):
     """Points of the body in the brief attempts of a start."""
     observed_occupancy: float = 0.5
     """Share of a part's flesh in occupied voxels from which its landmarks count as observed."""
+    min_judges: int = 2
+    """Cameras that must have a landmark in their picture, with nothing known to stand before it: one tells no depth."""
     colour_max_double: float = 0.15
     """A part that overlaps others by a larger share teaches no colours."""
     colour_min_occupancy: float = 0.6

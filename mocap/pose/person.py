@@ -256,6 +256,7 @@ def _series_of(poses: Sequence[FramePose]) -> FrameSeries:
         misfit=np.array([pose.misfit for pose in poses]),
         unexplained=np.array([pose.unexplained for pose in poses]),
         blind_std=np.array([pose.blind_std for pose in poses]),
+        hidden_std=np.array([pose.hidden_std for pose in poses]),
     )
 
 

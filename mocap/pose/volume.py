@@ -9,7 +9,15 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body import Body, LookUpTable, build_look_up_table, head_top, height_from_tops, is_upright
+from mocap.body import (
+    Body,
+    LookUpTable,
+    build_look_up_table,
+    head_top,
+    height_from_tops,
+    is_upright,
+    landmarks_of,
+)
 from mocap.body.initial import HeightEstimate
 from mocap.body.stretch import resize_body
 from mocap.data import VoxelGrid
@@ -41,8 +49,11 @@ from mocap.pose.posture import Posture, usual_posture
 from mocap.pose.settings import PoseSettings
 from mocap.threads import in_parallel
 from mocap.volume import surface_map
+from mocap.volume.surface import OCCUPIED_BIT, SURFACE_LEVELS
 
 Array = NDArray[np.float64]
+
+_HALF_SURFACE = (SURFACE_LEVELS + 1) // 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +62,16 @@ class PersonHull:
 
     outlines : makes the person's outlines in the cameras, or None where there are no masks.
     rays : makes the rays through the person's pixels, or None where there are no pictures.
+    unknown : (U,) int32 ascending, voxels around the person that too few cameras can judge.  n_judges : how many
+    cameras can judge points (N, 3) m, (N,), or None when nothing is known to hide people.
     """
 
     voxels: NDArray[np.int32]
     is_surface: NDArray[np.bool_]
     outlines: Callable[[], Outlines] | None = None
     rays: Callable[[], PixelRays] | None = None
+    unknown: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    n_judges: Callable[[Array], NDArray[np.int64]] | None = None
 
 
 HullOf = Callable[[int], PersonHull | None]
@@ -68,12 +83,18 @@ def pack_volume(
     surface_sigma_voxels: float,
     margin_m: float = EvidenceSettings.crop_margin_m,
 ) -> PackedVolume:
-    """The crop that the likelihood reads, with room for particles around the hull."""
+    """The crop that the likelihood reads, with room for particles around the hull.
+
+    An unknown voxel may be flesh or air, surface or none: a body part may lie there as in a hull, and is not drawn in.
+    """
     margin = int(np.ceil(margin_m / grid.voxel_size_m))
     subs = grid.subscripts(hull.voxels)
     lower = subs.min(axis=0) - margin
     upper = subs.max(axis=0) + margin + 1
     crop = surface_map(hull.voxels, hull.is_surface, grid, lower, upper, surface_sigma_voxels)
+    at = grid.subscripts(hull.unknown) - lower
+    at = at[np.all((at > 0) & (at < np.array(crop.shape) - 1), axis=1)]
+    crop[tuple(at.T)] |= OCCUPIED_BIT | _HALF_SURFACE
     return PackedVolume(crop, lower.astype(np.int64), grid)
 
 
@@ -304,8 +325,8 @@ class VolumeEvidence:
         return self.tools.settings.posture_nats * (departure - self.posture.departure(particles))
 
     def fit(self, state: Array, kept_parts: NDArray[np.bool_] | None = None) -> FrameFit:
-        """How a state (D,) fits; a landmark is observed when the part at its joint lies in occupied voxels and the
-        filter has not lost it."""
+        """How a state (D,) fits; a landmark is observed when the part at its joint lies in occupied voxels, the filter
+        has not lost it and enough cameras can judge it."""
         body = self.tools.body
         layout = body.layout
         per_part = self.voxels.log_likelihood(state[None])[0]
@@ -318,14 +339,24 @@ class VolumeEvidence:
         shared = np.broadcast_to(per_part / (layout.n_parts / len(per_part)), layout.n_parts)
         parts = body.landmark_parts
         occupancy = self.part_scores(state).occupied[0]
-        observed = occupancy[parts] >= self.tools.settings.method.evidence.observed_occupancy
+        judged = self._judged(state)
+        observed = judged & (occupancy[parts] >= self.tools.settings.method.evidence.observed_occupancy)
         return FrameFit(
             information=information,
             misfit=np.maximum(-shared, 0.0),
             unexplained=self.unexplained_share(state),
             log_likelihood=float(per_part.sum()),
             observed=observed if kept_parts is None else observed & kept_parts[parts],
+            judged=judged,
         )
+
+    def _judged(self, state: Array) -> NDArray[np.bool_]:
+        """Whether enough cameras can judge each landmark of a state (D,), (M,)."""
+        landmarks = landmarks_of(self.tools.body, state[None])[0]
+        n_judges = self.hull.hull.n_judges
+        if n_judges is None:
+            return np.ones(len(landmarks), dtype=np.bool_)
+        return n_judges(landmarks) >= self.tools.settings.method.evidence.min_judges
 
     def part_scores(self, state: Array) -> PartScores:
         """Shares of every part's flesh of one state (D,)."""

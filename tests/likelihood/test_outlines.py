@@ -112,6 +112,32 @@ def test_the_gradient_is_that_of_the_cost(flesh: Flesh, seen: Outlines) -> None:
     assert np.abs(numeric - g).max() < 0.08 * np.abs(g).max()
 
 
+def test_a_silhouette_that_ends_at_furniture_neither_bounds_the_body_nor_pulls_it(
+    flesh: Flesh, seen: Outlines, rig: CameraRig
+) -> None:
+    truth, row = bent(flesh), 95
+    views, points = [pinhole_view(c) for c in rig], landmark_cloud(flesh, truth)
+    masks, hidden = [], []
+    for i, camera in enumerate(rig):
+        behind = np.zeros((H, W), dtype=np.bool_)
+        behind[row:] = i < 3
+        masks.append(silhouette(flesh, truth, camera) & ~behind)
+        hidden.append(behind if i < 3 else None)
+    blind = person_outlines(views, rig, masks, points, n_points=N_POINTS)
+    aware = person_outlines(views, rig, masks, points, n_points=N_POINTS, hidden=hidden)
+    for c, camera in enumerate(list(rig)[:3]):
+        own = aware.camera == c
+        uv, _ = camera.project(camera.center + 2.9 * aware.directions[own])
+        assert own.sum() > 0.5 * N_POINTS
+        assert uv[:, 1].max() < row - 6
+    costs = [
+        problem_of(flesh, outlines).normal_equations(truth)[0] / outlines.n_points
+        for outlines in (seen, aware, blind)
+    ]
+    assert costs[1] < 1.5 * costs[0]
+    assert costs[2] > 3.0 * costs[0]
+
+
 def test_silhouettes_alone_bring_a_disturbed_pose_back(flesh: Flesh, seen: Outlines) -> None:
     truth = bent(flesh)
     state = truth.copy()

@@ -39,6 +39,7 @@ def series_of(states: np.ndarray, **changes: np.ndarray) -> FrameSeries:
         "misfit": np.ones((n, LAYOUT.n_parts)),
         "unexplained": np.zeros(n),
         "blind_std": np.zeros(n),
+        "hidden_std": np.zeros((n, len(LANDMARKS))),
     }
     return FrameSeries(**(fields | changes))
 

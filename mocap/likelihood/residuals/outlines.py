@@ -34,6 +34,9 @@ from mocap.likelihood.residuals.surface import flesh_sample
 _MARGIN_PX = 24  # of the crop around a person
 _BORDER_PX = 3  # outlines nearer to the picture's border may be cut off
 _MIN_OUTLINE_PX = 12
+_EDGE_KERNEL = np.ones(
+    (17, 17), dtype=np.uint8
+)  # the edge of what hides people is known to two cells of 4 px
 _NEAR_PX = 9  # how far from the projected hull an outline may still be the person's
 
 
@@ -126,12 +129,15 @@ def person_outlines(
     *,
     n_points: int,
     is_whole: Sequence[bool] | NDArray[np.bool_] | None = None,
+    hidden: Sequence[Mask | None] | None = None,
 ) -> Outlines:
     """Outlines of one person in all cameras.
 
     masks : one (H, W) bool per camera.  hull_points : (N, 3) m, surface of the person's hull: only outlines near its
     projection count.  other_points : (K, 3) m, hulls of the other persons: outlines near theirs do not.
-    n_points : outline points per camera.  is_whole : cameras whose mask can be trusted; None = all.
+    n_points : outline points per camera.  is_whole : cameras whose mask can be trusted; None = all.  hidden : per
+    camera (H, W) bool, pixels in which the person would not be seen, or None; a silhouette that ends there ends at what
+    hides him, and nobody is pulled out of there.
     """
     parts: list[tuple[Array, Array, Array, NDArray[np.int64]]] = []
     nearest: list[NDArray[np.int32]] = []
@@ -140,7 +146,8 @@ def person_outlines(
     for v, view in enumerate(views):
         if is_whole is not None and not is_whole[v]:
             continue
-        found = _camera_outline(view, masks[v], hull_points, other_points, n_points)
+        behind = None if hidden is None else hidden[v]
+        found = _camera_outline(view, masks[v], behind, hull_points, other_points, n_points)
         if found is None:
             continue
         uv, normal_px, near, low = found
@@ -183,7 +190,12 @@ def _pinhole_pixels(camera: Camera, points: Array) -> NDArray[np.int64]:
 
 
 def _camera_outline(
-    view: PinholeView, mask: Mask, hull_points: Array, other_points: Array | None, n_points: int
+    view: PinholeView,
+    mask: Mask,
+    hidden: Mask | None,
+    hull_points: Array,
+    other_points: Array | None,
+    n_points: int,
 ) -> tuple[Array, Array, NDArray[np.int32], NDArray[np.int64]] | None:
     """Outline points (M, 2) px, outward normals (M, 2), nearest silhouette pixels of the crop, its corner."""
     width, height = view.camera.size
@@ -197,8 +209,10 @@ def _camera_outline(
     if not crop.any():
         return None
     h, w = crop.shape
-    _, labels = cv2.distanceTransformWithLabels(1 - crop, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    near = nearest_of_labels(labels, crop)
+    behind = None if hidden is None else view.undistort(hidden, window)
+    possible = crop if behind is None else crop | behind
+    _, labels = cv2.distanceTransformWithLabels(1 - possible, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    near = nearest_of_labels(labels, possible)
 
     contours, _ = cv2.findContours(crop, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     points = [c[:, 0] for c in contours if len(c) >= _MIN_OUTLINE_PX]
@@ -208,6 +222,8 @@ def _camera_outline(
     u, v = at[:, 0] + low[0], at[:, 1] + low[1]
     good = (u >= _BORDER_PX) & (v >= _BORDER_PX) & (u < width - _BORDER_PX) & (v < height - _BORDER_PX)
     good &= (at > 0).all(axis=1) & (at[:, 0] < w - 1) & (at[:, 1] < h - 1)
+    if behind is not None:
+        good &= cv2.dilate(behind, _EDGE_KERNEL)[at[:, 1], at[:, 0]] == 0
     at = at[good]
     at = at[are_near(at, pixels, low, crop.shape, _NEAR_PX)]
     if other_points is not None and len(other_points):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap.body.initial import HeightEstimate
 from mocap.body.model import load_body_model
-from mocap.data import Tracks
+from mocap.data import Tracks, VoxelGrid
+from mocap.data import n_judges as judges_of
+from mocap.data.voxels import Voxels
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.likelihood.colours import PixelRays, person_rays
@@ -25,6 +28,7 @@ from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
 from mocap.products.hulls import pixels_from_arrays, stored_grid
 from mocap.products.masks import masks_from_arrays
+from mocap.products.occluders import stored_occluders
 from mocap.products.owners import owners_at
 from mocap.products.poses import store_poses, stored_poses
 from mocap.products.tracks import stored_tracks
@@ -109,6 +113,7 @@ def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
     hulls, segments = store.reader(hulls_product.PRODUCT), store.reader(masks_product.PRODUCT)
     owners = store.reader(owners_product.PRODUCT)
     views = [pinhole_view(camera) for camera in session.rig]
+    occluders = stored_occluders(store, session.rig)
 
     @lru_cache(maxsize=8)
     def hull_of(frame: int) -> PersonHull | None:
@@ -119,20 +124,22 @@ def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
             return None
         # Surface of the person alone, so that a neighbour does not hide a side of him.
         voxels = arrays["voxels"][keep].astype(np.int32, copy=False)
-        is_surface = surface_voxels(voxels, grid)
+        unknown = arrays["unknown"].astype(np.int32, copy=False)
+        is_surface = surface_towards_air(voxels, unknown, grid)
         others = arrays["voxels"][(owner > 0) & ~keep & arrays["is_surface"].astype(np.bool_)]
 
         @lru_cache(maxsize=1)
         def outlines() -> Outlines:
-            found = segments.read(frame)
+            found, surface = segments.read(frame), grid.centers(voxels[is_surface])
             return person_outlines(
                 views,
                 session.rig,
                 masks_from_arrays(found, session),
-                grid.centers(voxels[is_surface]),
+                surface,
                 grid.centers(others.astype(np.int32)),
                 n_points=OutlineFitSettings().n_outline_points,
                 is_whole=found["usable"] & arrays["used"].astype(np.bool_),
+                hidden=[occluders.hidden_pixels(camera, surface) for camera in session.rig],
             )
 
         @lru_cache(maxsize=1)
@@ -141,9 +148,21 @@ def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
             pixels = pixels_from_arrays(arrays)
             return person_rays(session.rig, pixels, surface, grid.centers(others.astype(np.int32)))
 
-        return PersonHull(voxels, is_surface, outlines, rays)
+        used = [name for name, is_used in zip(session.rig.names, arrays["used"], strict=True) if is_used]
+        n_judges = partial(judges_of, session.rig.subset(used), occluders=occluders)
+        return PersonHull(
+            voxels, is_surface, outlines, rays, unknown, None if occluders.is_empty else n_judges
+        )
 
     return hull_of
+
+
+def surface_towards_air(voxels: Voxels, unknown: Voxels, grid: VoxelGrid) -> NDArray[np.bool_]:
+    """Which voxels (N,) have an empty neighbour; where the next is unknown nobody has seen a surface."""
+    if len(unknown) == 0:
+        return surface_voxels(voxels, grid)
+    both = np.union1d(voxels, unknown)
+    return surface_voxels(both, grid)[np.searchsorted(both, voxels)]
 
 
 def poses_report(job: Job) -> StageReport:

@@ -1,0 +1,113 @@
+"""What no camera can judge: unknown voxels cost nothing, hidden landmarks are not observed and grow uncertain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flesh_voxels import make_flesh
+from test_pose_estimate import BODY, series_of
+
+from mocap.body import landmarks_of, neutral_state
+from mocap.data import LANDMARKS, VoxelGrid
+from mocap.pipeline.config import LikelihoodConfig, PoseConfig
+from mocap.pipeline.pose_settings import make_tools
+from mocap.pipeline.stages.pose import surface_towards_air
+from mocap.pose.deviation import landmark_covariances
+from mocap.pose.method import DeviationSettings
+from mocap.pose.volume import PersonHull, VolumeEvidence, pack_volume
+from mocap.volume import surface_voxels
+
+VOXEL_M = 0.04
+FLESH = make_flesh("anthropometric", 1.74, VOXEL_M)
+ANKLE = LANDMARKS.index("right_ankle")
+
+
+def state() -> np.ndarray:
+    found = neutral_state(FLESH.body)
+    found[2] += 0.05
+    return found
+
+
+def without_shank(*, is_unknown: bool) -> PersonHull:
+    """The body's voxels without the right lower leg, which is empty or unknown."""
+    whole = FLESH.hull(state(), margin_m=VOXEL_M)
+    centers = FLESH.grid.centers(whole.voxels)
+    knee, hip = landmarks_of(FLESH.body, state()[None])[0][
+        [LANDMARKS.index("right_knee"), LANDMARKS.index("pelvis")]
+    ]
+    is_shank = (centers[:, 2] < knee[2]) & ((centers[:, :2] - hip[:2]) @ (knee[:2] - hip[:2]) > 0)
+    left, gone = whole.voxels[~is_shank], whole.voxels[is_shank]
+    assert 50 < len(gone) < 0.2 * len(whole.voxels)
+    unknown = gone if is_unknown else np.zeros(0, dtype=np.int32)
+    return PersonHull(left, surface_towards_air(left, unknown, FLESH.grid), unknown=unknown)
+
+
+def evidence(hull: PersonHull) -> VolumeEvidence:
+    tools = make_tools(FLESH.grid, 30.0, 1.74, "anthropometric", PoseConfig(), LikelihoodConfig(), 1)
+    return tools.frame(hull)
+
+
+def test_a_leg_in_the_unknown_costs_nothing() -> None:
+    whole, empty, unknown = (
+        float(evidence(hull).evidence([state()])[0])
+        for hull in (
+            FLESH.hull(state(), margin_m=VOXEL_M),
+            without_shank(is_unknown=False),
+            without_shank(is_unknown=True),
+        )
+    )
+    assert empty < whole - 20.0
+    assert unknown > whole - 3.0
+
+
+def test_unknown_voxels_are_marked_in_the_crop_and_nowhere_else() -> None:
+    hull = without_shank(is_unknown=True)
+    plain = pack_volume(FLESH.grid, replace(hull, unknown=hull.unknown[:0]), 1.0)
+    far = FLESH.grid.linear(np.array([[0, 0, 0]]))
+    marked = pack_volume(
+        FLESH.grid, replace(hull, unknown=np.union1d(hull.unknown, far).astype(np.int32)), 1.0
+    )
+    inside = np.argwhere(marked.crop != plain.crop) + marked.lower_subscript
+    np.testing.assert_array_equal(FLESH.grid.linear(inside), hull.unknown)
+    assert np.all(marked.crop[marked.crop != plain.crop] >= 128 + 64)
+
+
+def test_no_surface_where_the_unknown_begins() -> None:
+    grid = VoxelGrid(np.zeros(3), (5, 6, 7), 0.1)
+    box = np.array([[x, y, z] for x in range(1, 4) for y in range(1, 4) for z in range(1, 6)])
+    voxels = grid.linear(box[box[:, 2] < 4])
+    unknown = grid.linear(box[box[:, 2] >= 4])
+    np.testing.assert_array_equal(
+        surface_towards_air(voxels, unknown[:0], grid), surface_voxels(voxels, grid)
+    )
+    is_surface = surface_towards_air(voxels, unknown, grid)
+    top_middle = grid.linear(np.array([[2, 2, 3]]))[0]
+    assert not is_surface[np.searchsorted(voxels, top_middle)]
+    assert surface_voxels(voxels, grid)[np.searchsorted(voxels, top_middle)]
+
+
+@pytest.mark.parametrize(("n_cameras", "is_seen"), [(0, False), (1, False), (2, True)])
+def test_a_landmark_is_observed_only_when_two_cameras_can_judge_it(n_cameras: int, is_seen: bool) -> None:
+    low = landmarks_of(FLESH.body, state()[None])[0, ANKLE, 2] + 0.05
+
+    def n_judges(points: np.ndarray) -> np.ndarray:
+        return np.where(points[:, 2] < low, n_cameras, 4)
+
+    fit = evidence(replace(FLESH.hull(state(), margin_m=VOXEL_M), n_judges=n_judges)).fit(state())
+    assert fit.judged[ANKLE] == fit.observed[ANKLE] == is_seen
+    above = landmarks_of(FLESH.body, state()[None])[0, :, 2] >= low
+    assert fit.judged[above].all()
+    assert fit.observed[above].all()
+
+
+def test_hidden_landmarks_have_larger_deviations() -> None:
+    states = np.tile(neutral_state(BODY), (3, 1))
+    hidden = np.zeros((3, len(LANDMARKS)))
+    hidden[1:, ANKLE] = 0.1, 0.25
+    plain = landmark_covariances(BODY, series_of(states), DeviationSettings(), is_refined=True)
+    wider = landmark_covariances(
+        BODY, series_of(states, hidden_std=hidden), DeviationSettings(), is_refined=True
+    )
+    np.testing.assert_allclose(wider - plain, (hidden**2)[..., None, None] * np.eye(3), atol=1e-12)
