@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.metrics import point_errors
-from mocap.pipeline.panels import chosen_frames
+from mocap.pipeline.panels import chosen_frames, images_at
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord
 from mocap.pipeline.scene_frames import room_bounds
 from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products.hulls import grid_from_attrs, hull_from_arrays
 from mocap.products.masks import masks_from_arrays
+from mocap.products.occluders import stored_occluders
 from mocap.view import Figure
 from mocap.volume import silhouette_residuals
 
@@ -31,6 +32,7 @@ def run_figures(record: RunRecord, found: Found) -> Iterator[Figure]:
     yield _paths(found)
     yield from _timing(record)
     yield from _silhouettes(record, found)
+    yield from _occluders(found)
     yield from _filter_health(found)
 
 
@@ -107,6 +109,24 @@ def _silhouettes(record: RunRecord, found: Found) -> Iterator[Figure]:
             "Long bars mark cameras whose silhouettes to look at.",
             plot_mask_quality(silhouettes),
             section="silhouettes",
+        )
+
+
+def _occluders(found: Found) -> Iterator[Figure]:
+    from mocap.view import draw_places
+
+    if found.hulls is None:
+        return
+    rig = found.session.rig
+    occluders = stored_occluders(found.store, rig)
+    places = {c.name: occluders.standing_pixels(c) for c in rig if occluders.of(c) is not None}
+    if places:
+        pictures = dict(zip(rig.names, images_at(found, int(found.session.frames[0])), strict=True))
+        yield Figure(
+            "What can stand in front of people",
+            "Learnt from the silhouettes: of what is behind the tinted places the camera is not asked.",
+            draw_places(pictures, places),
+            mime="image/jpeg",
         )
 
 

@@ -36,7 +36,7 @@ def _volume_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]
     hulls, masks = store.reader(hulls_product.PRODUCT), store.reader(masks_product.PRODUCT)
     grid = grid_from_attrs(hulls.attrs)
     for frame in chosen_frames(found, hulls.frames, settings.report_frames):
-        images = _images_at(found, int(frame))
+        images = images_at(found, int(frame))
         hull = hull_from_arrays(grid, hulls.read(int(frame)))
         mask = masks_from_arrays(masks.read(int(frame)), session)
         rows = rows_at(found.poses, int(frame))
@@ -56,7 +56,7 @@ def marker_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]:
     session = found.session
     frames = np.array(session.frames, dtype=np.int64)
     for frame in chosen_frames(found, frames, settings.report_frames):
-        images = _images_at(found, int(frame))
+        images = images_at(found, int(frame))
         detections = detections_at(found.store, session, int(frame))
         rows = rows_at(found.poses, int(frame))
         for c in _chosen_cameras(found, settings):
@@ -109,7 +109,7 @@ def _views(
         yield label, crop(picture, window, scale=scale)
 
 
-def _images_at(found: Found, frame: int) -> tuple[Image, ...]:
+def images_at(found: Found, frame: int) -> tuple[Image, ...]:
     """Pictures of one frame; grey ones when the session has only masks."""
     session = found.session
     if not session.image_sources:

@@ -15,6 +15,7 @@ from mocap.view.overlay import (
     person_colour,
     person_window,
 )
+from mocap.view.places import draw_places
 from mocap.view.plots import (
     FilterHealth,
     plot_error_over_time,
@@ -45,6 +46,7 @@ __all__ = [
     "draw_hull",
     "draw_label",
     "draw_mask",
+    "draw_places",
     "draw_skeleton",
     "person_colour",
     "person_window",
