@@ -79,6 +79,8 @@ class OccluderLearner:
         self.n_free = np.zeros(self._space.n_voxels, dtype=np.uint16)
         self.n_blocked = np.zeros(self._space.n_voxels, dtype=np.uint16)
         self._places = np.zeros((0, 3))
+        # The farthest and the second farthest depth at which each cell has shown a person; one may be a mistake.
+        self._seen_m = [np.full((2, *camera.size[::-1]), -np.inf, dtype=np.float32) for camera in self._rig]
 
     def add(self, cells: Sequence[Cells]) -> bool:
         """Take one frame; returns whether it has said anything new.
@@ -89,7 +91,7 @@ class OccluderLearner:
         if len(core) == 0:
             return False
         side = self._carver.grid.voxel_size_m
-        for camera, own, table in zip(self._rig, cells, self._tables, strict=True):
+        for camera, own, table, seen in zip(self._rig, cells, self._tables, self._seen_m, strict=True):
             silhouette = np.isfinite(_nearest_depth(camera, hull, side))
             if np.count_nonzero((own == FULL) & ~silhouette) > _ASTRAY_SHARE * np.count_nonzero(own == FULL):
                 continue  # it sees somebody, elsewhere: it has moved, lags, or others see too little
@@ -97,6 +99,9 @@ class OccluderLearner:
             verdict = np.full(own.shape, kernels.NO_VOTE, dtype=np.uint8)
             is_near = np.isfinite(near)
             verdict[is_near & (own == FULL)] = kernels.FREE
+            shown = np.where(verdict == kernels.FREE, near, np.float32(-np.inf))
+            seen[1] = np.maximum(seen[1], np.minimum(seen[0], shown))
+            seen[0] = np.maximum(seen[0], shown)
             verdict[is_near & (cv2.dilate(own, np.ones((3, 3), np.uint8)) == EMPTY)] = kernels.BLOCKED
             kernels.vote_along_rays(
                 near.ravel(), verdict.ravel(), *table, BLOCKED_MARGIN_M, self.n_free, self.n_blocked
@@ -104,10 +109,15 @@ class OccluderLearner:
         return True
 
     def occluders(self) -> Occluders:
-        """The maps of all cameras from the votes so far."""
+        """The maps of all cameras from the votes so far, without cells that have shown somebody behind them."""
         side = self._space.voxel_size_m
         points = self._space.centers(solid_voxels(self._space, self.n_free, self.n_blocked))
-        return Occluders({c.name: _nearest_depth(c, points, side) for c in self._rig}, CELL_PX)
+        maps = {}
+        for camera, seen in zip(self._rig, self._seen_m, strict=True):
+            depth = _nearest_depth(camera, points, side)
+            depth[depth < seen[1]] = np.inf
+            maps[camera.name] = depth
+        return Occluders(maps, CELL_PX)
 
     def _persons(self, masks: Sequence[Mask]) -> tuple[Array, Array]:
         """Voxels (N, 3) m of everybody, and inner ones (K, 3) m of those who stand where none has given evidence."""

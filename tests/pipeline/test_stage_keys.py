@@ -213,6 +213,7 @@ def test_no_module_takes_a_name_that_its_package_looks_up_when_it_is_used() -> N
 ROOMS = {
     "segment": ("foreground", ("likelihood", "tracking", "volume", "body", "filters", "view", "cli")),
     "detect": ("foreground", ("likelihood", "tracking", "volume", "body", "filters", "view", "cli")),
+    "occluders": ("volume", ("tracking", "body", "filters", "view", "cli")),
     "carve": ("volume", ("tracking", "body", "filters", "view", "cli")),
     "track": ("tracking", ("body", "filters", "view", "cli")),
     "pose": ("filters", ("view", "cli", "compare", "synth")),

@@ -70,7 +70,7 @@ def test_scores_are_those_of_a_run_and_stages_are_shared(folder: Path) -> None:
     assert result.rows[1].scores == json.loads(json.dumps(alone.scores))
     assert result.rows[0].scores != result.rows[1].scores
     stages = sorted(p.name.split("-")[0] for p in (out / "stages").iterdir())
-    assert stages == ["carve", "segment", "track"]
+    assert stages == ["carve", "occluders", "segment", "track"]
     assert [r["pose.n_particles"] for r in rows(out / "table.csv")] == ["40", "60"]
     assert not list((out / "runs").iterdir())
 
