@@ -243,7 +243,8 @@ def test_store_holds_every_stage(full: RunResult) -> None:
     keys = json.loads((full.out / "run.json").read_text())["stage_keys"]
     for stage, key in keys.items():
         assert store.is_complete(stage, key)
-        assert store.reader(stage).frames.tolist() == list(range(N_FRAMES))
+        if stage != "occluders":  # a row per camera
+            assert store.reader(stage).frames.tolist() == list(range(N_FRAMES))
     masks = [m for _, m in read_masks(store, full.session)]
     truth = np.load(full.session.root / "truth" / "masks" / "cam_0.npz")["masks"]
     size = full.session.rig["cam_0"].size
