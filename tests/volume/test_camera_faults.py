@@ -24,7 +24,7 @@ from mocap.pipeline.run import run_session
 from mocap.products.hulls import stored_faults
 from mocap.volume import CameraFault, ConsistencyMonitor, find_camera_faults, usable_cameras
 from mocap.volume.camera_faults import background_shift, fit_states
-from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, Snapshot
+from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, SilhouetteEvidence, Snapshot
 
 T, C, SIZE = 64, 7, (320, 240)
 RIG = ring(C, SIZE)
@@ -139,6 +139,36 @@ def test_a_lag_from_the_start_is_told_as_such() -> None:
     (fault,) = find(masks)
     assert (fault.camera, fault.kind, fault.lag_frames, fault.is_from_start) == ("cam_5", "lag", 3, True)
     assert fault.message == "camera cam_5 lags 3 frames all the time"
+
+
+def still_picture(*, mask_change: float, n_cells: int) -> SilhouetteEvidence:
+    """Five cameras, 40 frames; the picture of camera 2 hardly changes from frame 20 on."""
+    n, n_cameras = 40, 5
+    picture_change = np.ones((n, n_cameras), dtype=np.float32)
+    picture_change[20:, 2] = 0.05
+    change = np.full((n, n_cameras), 0.3, dtype=np.float32)
+    change[20:, 2] = mask_change
+    cells = np.full((n, n_cameras), 300, dtype=np.int32)
+    cells[20:, 2] = n_cells
+    lags = np.zeros((n, n_cameras, 17), dtype=np.float32)
+    grey = np.full((n, n_cameras), 90.0, dtype=np.float32)
+    return SilhouetteEvidence(
+        names=tuple("abcde"), frames=np.arange(n), uncovered=lags, strict=lags, mask_cells=cells,
+        hull_cells=cells, expected_cells=cells, change=change, picture_change=picture_change, brightness=grey,
+        contrast=grey, snapshots=(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("mask_change", "n_cells", "is_frozen"),
+    [(0.0, 300, True), (0.09, 150, False), (np.nan, 0, False)],
+    ids=["repeats", "somebody walks away far off", "nobody is in view"],
+)
+def test_a_picture_that_hardly_changes_need_not_be_frozen(
+    mask_change: float, n_cells: int, is_frozen: bool
+) -> None:
+    kinds = [f.kind for f in find_camera_faults(still_picture(mask_change=mask_change, n_cells=n_cells))]
+    assert kinds == (["frozen"] if is_frozen else [])
 
 
 def test_a_frozen_camera_goes_on() -> None:
