@@ -11,7 +11,6 @@ eval/results/occlusion_{development,test}.csv. Thresholds were set on realistic 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import sys
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eval.whole import write_csv
 from mocap.data import LANDMARKS
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv
@@ -95,10 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             rows += [evaluate(session, options.work, how, seed) for seed in range(options.seeds)]
             print(", ".join(f"{k} {v}" for k, v in rows[-1].items()), flush=True)
     path = RESULTS / f"occlusion_{options.name or ('test' if options.test else 'development')}.csv"
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(path, list(rows[0]), rows)
     return 0
 
 

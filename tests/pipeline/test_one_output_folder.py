@@ -60,7 +60,7 @@ def test_the_record_is_what_run_json_holds(finished: Path) -> None:
     about = json.loads((finished / "run.json").read_text())
     assert record_to_json(read_record(finished)) == about
     assert about["kind"] == "voxels"
-    assert about["product_keys"].keys() == {"segment", "carve", "track", "track-owners", "pose"}
+    assert about["product_keys"].keys() == {"segment", "occluders", "carve", "track", "track-owners", "pose"}
 
 
 # --- what a run does not write anew is not left behind ---
@@ -70,7 +70,7 @@ def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None
     (out / "scores.json").write_text("{}")
     (out / "mine.txt").write_text("of the user")
     result = run_session(session, out, config=config("trc"), resume=True)
-    assert result.reused == ("segment", "carve", "track", "pose")
+    assert result.reused == ("segment", "occluders", "carve", "track", "pose")
     assert names(out) == {
         *("run.json", "tracks.csv", "landmarks.csv", "pose.npz", "body.toml", "person_1.trc", "store.zarr"),
         "mine.txt",
@@ -186,7 +186,7 @@ def test_store_and_tables_of_different_runs_are_not_mixed(
         pytest.importorskip("rerun")
     COMMANDS[command](out, session, tmp_path)
     mixed(session, out)
-    with pytest.raises(MocapError, match="not that of the tables beside it: carve of") as caught:
+    with pytest.raises(MocapError, match="not that of the tables beside it: occluders, carve of") as caught:
         COMMANDS[command](out, session, tmp_path)
     assert "--resume" in caught.value.remedy
     run_session(session, out, config=config("bvh", "report"), resume=True)
