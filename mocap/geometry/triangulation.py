@@ -41,7 +41,7 @@ def triangulate(P: Array, uv: Array) -> Array:
     n_rows = 2 * uv.shape[-2]
     point = np.full((*uv.shape[:-2], 3), np.nan)
     usable = np.asarray(seen.sum(axis=-1) >= 2)
-    # Rows scaled by the inverse depth are errors in pixels; the first round does not know the depth yet.
+    # Rows scaled by the inverse depth are errors in pixels; the first pass does not know the depth yet.
     for _ in range(2):
         scaled = rows * weight[..., None, None]
         A = scaled[..., :3].reshape(*uv.shape[:-2], n_rows, 3)

@@ -88,7 +88,7 @@ def finish_seated(gait: Gait, rotations: Array, seated: Array, keep: slice) -> P
     frames = np.flatnonzero(on_lap > 0)
     if len(frames):
         resting = rotations[frames].copy()
-        for _ in range(2):  # the shoulder moves with the arm, so the second round starts nearer
+        for _ in range(2):  # the shoulder moves with the arm, so the second pass starts nearer
             _hands_on_thighs(figure, resting, gait.root[frames])
         rotations[frames] = blend_rotations(rotations[frames], resting, on_lap[frames, None])
     return Pose(gait.root[keep], rotations[keep], gait.contact[keep])
