@@ -24,6 +24,8 @@ _HOMES = {
     "StageReader": "store",
     "StageStore": "store",
     "StageWriter": "store",
+    "pack_masks": "store",
+    "unpack_masks": "store",
     "read_detections_csv": "tables",
     "read_landmarks_csv": "tables",
     "read_tracks_csv": "tables",

@@ -13,7 +13,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -36,6 +36,16 @@ _MIN_CHUNK_BYTES = 262_144
 _FORMAT = 2
 _LIST = "files.json"
 _ZSTD_LEVEL = 1
+
+
+def pack_masks(masks: Sequence[NDArray[np.bool_]]) -> NDArray[np.uint8]:
+    """Masks of one frame as bits: C masks (H, W) bool of one size -> (C, H, ceil(W / 8)) uint8."""
+    return np.packbits(np.stack(masks), axis=2)
+
+
+def unpack_masks(packed: NDArray[np.uint8], width: int) -> NDArray[np.bool_]:
+    """The inverse: (C, H, ceil(W / 8)) uint8 -> (C, H, W) bool."""
+    return np.unpackbits(packed, axis=2, count=width).view(np.bool_)
 
 
 class StageStore:
