@@ -487,6 +487,8 @@ def _lookup(table: NDArray[np.float32], texel: NDArray, interpolation: int) -> N
     outside = float("inf") if np.isinf(table[0, 0]) else 0.0
     width = 2048  # remap wants a picture, not a line longer than 32767
     n = len(texel)
+    if n == 0:  # a person is hidden, his shadow is not
+        return np.zeros(0, dtype=np.float32)
     padded = np.full((-(-n // width) * width, 2), -99, dtype=np.float32)
     padded[:n] = texel
     grid = padded.reshape(-1, width, 2)

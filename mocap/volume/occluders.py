@@ -49,6 +49,7 @@ _STEP_M = (
 )
 _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
+_MIN_NEEDING = 3  # cameras whose foreground nothing surer explains; the rays of two cross in many places
 # Share of a mask outside the silhouette of a hull that allows most cameras to be wrong. Healthy masks have hardly any.
 _ASTRAY_SHARE = 0.3
 
@@ -87,22 +88,25 @@ class OccluderLearner:
 
         cells : the masks as of `masks_by_cells`, (h, w) uint8 per camera.
         """
-        hull, core = self._persons([c == FULL for c in cells])
+        hull, core, objects = self._persons([c == FULL for c in cells])
         if len(core) == 0:
             return False
         side = self._carver.grid.voxel_size_m
-        for camera, own, table, seen in zip(self._rig, cells, self._tables, self._seen_m, strict=True):
+        for c, (camera, own, table, seen) in enumerate(
+            zip(self._rig, cells, self._tables, self._seen_m, strict=True)
+        ):
             silhouette = np.isfinite(_nearest_depth(camera, hull, side))
             if np.count_nonzero((own == FULL) & ~silhouette) > _ASTRAY_SHARE * np.count_nonzero(own == FULL):
                 continue  # it sees somebody, elsewhere: it has moved, lags, or others see too little
             near = _nearest_depth(camera, core, side)
+            missed = _nearest_depth(camera, core[objects[:, c]], side)
             verdict = np.full(own.shape, kernels.NO_VOTE, dtype=np.uint8)
-            is_near = np.isfinite(near)
-            verdict[is_near & (own == FULL)] = kernels.FREE
+            verdict[np.isfinite(near) & (own == FULL)] = kernels.FREE
             shown = np.where(verdict == kernels.FREE, near, np.float32(-np.inf))
             seen[1] = np.maximum(seen[1], np.minimum(seen[0], shown))
             seen[0] = np.maximum(seen[0], shown)
-            verdict[is_near & (cv2.dilate(own, np.ones((3, 3), np.uint8)) == EMPTY)] = kernels.BLOCKED
+            is_empty = cv2.dilate(own, np.ones((3, 3), np.uint8)) == EMPTY
+            verdict[np.isfinite(missed) & is_empty] = kernels.BLOCKED
             kernels.vote_along_rays(
                 near.ravel(), verdict.ravel(), *table, BLOCKED_MARGIN_M, self.n_free, self.n_blocked
             )
@@ -119,22 +123,56 @@ class OccluderLearner:
             maps[camera.name] = depth
         return Occluders(maps, CELL_PX)
 
-    def _persons(self, masks: Sequence[Mask]) -> tuple[Array, Array]:
-        """Voxels (N, 3) m of everybody, and inner ones (K, 3) m of those who stand where none has given evidence."""
+    def _persons(self, masks: Sequence[Mask]) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Voxels (N, 3) m of a generous hull; inner ones (K, 3) m that are surely somebody's, of those who stand where
+        none has given evidence; and which cameras (K, C) see nothing but background there.
+        """
         grid, n = self._carver.grid, len(self._rig)
         voxels = self._carver.carve(
             masks, n_faulty_views=self._n_faulty, min_views=min(4, n), min_votes=min(MIN_VOTES, n)
         )
         hull = grid.centers(voxels)
+        pixels = self._carver.pixels(voxels)
+        sees = np.column_stack([mask.ravel()[p] for mask, p in zip(masks, pixels.T, strict=True)])
+        sees &= pixels >= 0
+        objects = (pixels >= 0) & ~sees
+        is_sure = self._is_needed(masks, hull, pixels, sees, objects.sum(axis=1))
         labels, n_found = connected_components(voxels, grid)
         litres = np.bincount(labels, minlength=n_found) * grid.voxel_size_m**3 * 1000.0
-        is_inner = ~surface_voxels(voxels, grid)
-        core = [np.zeros((0, 3))]
+        is_core = is_sure & ~surface_voxels(voxels, grid)
+        rows = [np.zeros(0, dtype=np.int64)]
         for k in np.flatnonzero(litres >= _PERSON_LITRES):
-            points = hull[is_inner & (labels == k)]
-            if len(points) and self._is_new(points.mean(axis=0)):
-                core.append(points)
-        return hull, np.concatenate(core)
+            own = np.flatnonzero(is_core & (labels == k))
+            if len(own) and self._is_new(hull[own].mean(axis=0)):
+                rows.append(own)
+        core = np.concatenate(rows)
+        return hull, hull[core], objects[core]
+
+    def _is_needed(
+        self,
+        masks: Sequence[Mask],
+        hull: Array,
+        pixels: NDArray[np.int32],
+        sees: NDArray[np.bool_],
+        n_objecting: NDArray[np.int64],
+    ) -> NDArray[np.bool_]:
+        """Which voxels (N,) must be somebody's, because nothing that fewer cameras object to explains the foreground.
+
+        Voxels to which nobody objects are. What they leave over in the masks must be explained by others, those to
+        which one camera objects first, and so on. A phantom, where rays to two persons cross, is not needed.
+        """
+        side = self._carver.grid.voxel_size_m
+        is_needed = n_objecting == 0
+        newly = is_needed
+        left = [mask.copy() for mask in masks]
+        for level in range(1, int(n_objecting.max(initial=0)) + 1):
+            for c, camera in enumerate(self._rig):
+                shape = np.isfinite(_nearest_depth(camera, hull[newly & sees[:, c]], side)).view(np.uint8)
+                left[c] &= cv2.dilate(shape, np.ones((3, 3), np.uint8)) == 0
+            needing = np.column_stack([own.ravel()[p] for own, p in zip(left, pixels.T, strict=True)]) & sees
+            newly = (n_objecting == level) & (needing.sum(axis=1) >= _MIN_NEEDING)
+            is_needed = is_needed | newly
+        return is_needed
 
     def _is_new(self, place: Array) -> bool:
         """Whether nobody has given evidence near a place (3,) m; from now on somebody has."""

@@ -171,6 +171,21 @@ def test_who_is_outside_is_invisible_and_throws_no_shadow() -> None:
         assert np.array_equal(picture, view.empty)
 
 
+def test_who_is_hidden_by_furniture_still_throws_his_shadow() -> None:
+    person = {"seed": 4, "motion": {"kind": "stand", "position_m": [-1.2, 0.0]}}
+    room = {"size_m": list(SIZE_M), "furniture": [{"lower_m": [-0.9, -0.9, 0.0], "upper_m": [-0.8, 0.9, 2.4]}]}
+    rig = {
+        "kind": "given",
+        "cameras": [{"name": "a", "position_m": [2.0, 0.0, 1.2], "target_m": [-1.2, 0.0, 1.0]}],
+        "size_px": [W, H],
+    }
+    world = build_world(_scene(persons=[person], n_frames=1, room=room, rig=rig))
+    view = CameraView(world.rig[0], world.room)
+    picture, mask = view.render(world.at(0), world.things, world.looks)
+    assert not mask.any()
+    assert not np.array_equal(picture, view.empty)
+
+
 def test_who_stands_in_the_wall_is_cut_by_it() -> None:
     inside, cut = _at_the_wall(2.0), _at_the_wall(2.5)
     for k in (0, 1):
