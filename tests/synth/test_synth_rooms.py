@@ -173,7 +173,10 @@ def test_who_is_outside_is_invisible_and_throws_no_shadow() -> None:
 
 def test_who_is_hidden_by_furniture_still_throws_his_shadow() -> None:
     person = {"seed": 4, "motion": {"kind": "stand", "position_m": [-1.2, 0.0]}}
-    room = {"size_m": list(SIZE_M), "furniture": [{"lower_m": [-0.9, -0.9, 0.0], "upper_m": [-0.8, 0.9, 2.4]}]}
+    room = {
+        "size_m": list(SIZE_M),
+        "furniture": [{"lower_m": [-0.9, -0.9, 0.0], "upper_m": [-0.8, 0.9, 2.4]}],
+    }
     rig = {
         "kind": "given",
         "cameras": [{"name": "a", "position_m": [2.0, 0.0, 1.2], "target_m": [-1.2, 0.0, 1.0]}],
