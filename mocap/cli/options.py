@@ -39,6 +39,10 @@ ThreadsOption = Annotated[
 ResumeOption = Annotated[
     bool, typer.Option("--resume", help="Reuse stage products in OUT that nothing has changed for.")
 ]
+RehashOption = Annotated[
+    bool,
+    typer.Option("--rehash", help="Read every input file again, also those that seem not to have changed."),
+]
 ExpectedOption = Annotated[
     int | None,
     typer.Option("--expected-persons", min=1, help="Most persons there can be: who is lost is waited for."),

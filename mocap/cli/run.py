@@ -21,6 +21,7 @@ from mocap.cli.options import (
     ObservationOption,
     OutPath,
     PresetOption,
+    RehashOption,
     ResumeOption,
     SeedOption,
     SessionPath,
@@ -55,6 +56,7 @@ class Order:
     calibration: Path | None = None
     threads: int | None = None
     resume: bool = False
+    rehash: bool = False
     go_on: str = ""
     filter_name: str | None = None
     observation: str | None = None
@@ -115,6 +117,7 @@ def run(
         str, typer.Option("--until", help="Last stage: segment, occluders, carve, track, pose, report.")
     ] = "report",
     resume: ResumeOption = False,
+    rehash: RehashOption = False,
     calibration: CalibrationOption = None,
     threads: ThreadsOption = None,
     _list: Annotated[
@@ -140,6 +143,7 @@ def run(
             calibration=calibration,
             threads=threads,
             resume=resume,
+            rehash=rehash,
             go_on=command_line() if resume else f"{command_line()} --resume",
             filter_name=filter_name,
             observation=observation,
@@ -160,6 +164,7 @@ def _stage_command(stage: str, words: str) -> Callable[..., None]:
         frames: FramesOption = None,
         calibration: CalibrationOption = None,
         threads: ThreadsOption = None,
+        rehash: RehashOption = False,
     ) -> None:
         _run(
             Order(
@@ -173,6 +178,7 @@ def _stage_command(stage: str, words: str) -> Callable[..., None]:
                 calibration=calibration,
                 threads=threads,
                 resume=True,
+                rehash=rehash,
                 go_on=command_line(),
             )
         )
@@ -196,6 +202,7 @@ def track(
     frames: FramesOption = None,
     calibration: CalibrationOption = None,
     threads: ThreadsOption = None,
+    rehash: RehashOption = False,
 ) -> None:
     """Who is where: OUT/tracks.csv; takes over finished hulls in OUT."""
     _run(
@@ -210,6 +217,7 @@ def track(
             calibration=calibration,
             threads=threads,
             resume=True,
+            rehash=rehash,
             go_on=command_line(),
             expected_persons=expected_persons,
         )
@@ -236,6 +244,7 @@ def _run(order: Order) -> RunResult:
             seed=order.seed,
             until=order.until,
             resume=order.resume,
+            rehash=order.rehash,
             frames=parse_frames(order.frames),
             calibration=order.calibration,
             n_threads=order.threads,

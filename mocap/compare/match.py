@@ -21,7 +21,8 @@ _ABSENT_COST_M = 10.0  # a frame without an estimate counts like one in another 
 class Pair:
     """One true person and the estimate that belongs to them, on the scored frames.
 
-    estimate, truth, std : (T, 15, 3) m, NaN = unknown.  has_estimate : False where nobody was matched.
+    estimate, truth, std : (T, 15, 3) m, NaN = unknown.  observed : (T, 15) bool, true where the estimate does not say.
+    has_estimate : False where nobody was matched.
     """
 
     person: int
@@ -29,6 +30,7 @@ class Pair:
     estimate: Array
     truth: Array
     std: Array
+    observed: NDArray[np.bool_]
     has_estimate: bool = True
 
 
@@ -40,7 +42,10 @@ def matched_pairs(
     for e, t in associate_persons(estimate, truth, frames=frames):
         own, target = on_frames_of_truth(e, t, frames)
         std = np.full_like(own.landmarks, np.nan) if own.std is None else own.std
-        pairs.append(Pair(t.person, target.frames, own.landmarks, target.landmarks, std, e is not None))
+        observed = np.ones(std.shape[:2], dtype=np.bool_) if own.observed is None else own.observed
+        pairs.append(
+            Pair(t.person, target.frames, own.landmarks, target.landmarks, std, observed, e is not None)
+        )
     return pairs
 
 
@@ -99,7 +104,11 @@ def on_frames_of_truth(estimate: Motion | None, truth: Motion, frames: Frames) -
     landmarks[rows] = estimate.landmarks[source]
     if estimate.std is not None:
         std[rows] = estimate.std[source]
-    return Motion(estimate.person, scored, target.time_s, landmarks, std), target
+    observed = None
+    if estimate.observed is not None:
+        observed = np.zeros(landmarks.shape[:2], dtype=np.bool_)
+        observed[rows] = estimate.observed[source]
+    return Motion(estimate.person, scored, target.time_s, landmarks, std, observed), target
 
 
 def stacked(arrays: Sequence[Array]) -> Array:

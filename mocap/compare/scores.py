@@ -23,7 +23,7 @@ from mocap.metrics.points import (
     point_scores,
 )
 from mocap.metrics.tracking import identity_scores, tracking_scores
-from mocap.metrics.uncertainty import coverage_scores
+from mocap.metrics.uncertainty import coverage_scores, silent_errors
 from mocap.metrics.volume import VolumeScores
 
 Array = NDArray[np.float64]
@@ -58,6 +58,8 @@ KEYS = (
     "assa_percent",
     "idf1_percent",
     "sharpness_90_mm",
+    "silent_error_percent",
+    "silent_errors",
     "landmarks_missing",
     "landmarks_scored",
     "persons_truth",
@@ -120,7 +122,10 @@ def _pose_scores(pairs: Sequence[Pair], epsilon_mm: float) -> dict[str, Any]:
     points = point_scores(x, y, epsilon_mm)
     errors = point_errors(x, y)
     angles = angle_scores(x, y, epsilon_mm)
-    coverage = coverage_scores(x, y, stacked([p.std for p in pairs]))
+    std = stacked([p.std for p in pairs])
+    coverage = coverage_scores(x, y, std)
+    observed = np.concatenate([p.observed for p in pairs]) if pairs else np.ones((0, len(LANDMARKS)), bool)
+    silent = silent_errors(x, y, std, observed)
     return {
         "mean_error_mm": points.mean_mm,
         "std_error_mm": points.std_mm,
@@ -145,6 +150,8 @@ def _pose_scores(pairs: Sequence[Pair], epsilon_mm: float) -> dict[str, Any]:
         "angle_std_deg": angles.std_deg,
         "coverage_90_percent": coverage.coverage_percent,
         "sharpness_90_mm": coverage.sharpness_mm,
+        "silent_error_percent": silent.percent,
+        "silent_errors": silent.n_silent,
     }
 
 

@@ -24,7 +24,14 @@ from mocap.metrics.points import (
 from mocap.metrics.reference import ReferenceFit, fit_reference_skeleton
 from mocap.metrics.smoothness import SmoothnessScores, smoothness_scores
 from mocap.metrics.tracking import IdentityScores, TrackingScores, identity_scores, tracking_scores
-from mocap.metrics.uncertainty import CoverageScores, Reliability, coverage_scores, reliability
+from mocap.metrics.uncertainty import (
+    CoverageScores,
+    Reliability,
+    SilentErrors,
+    coverage_scores,
+    reliability,
+    silent_errors,
+)
 from mocap.metrics.volume import VolumeScores, sum_volume_scores, volume_scores
 
 __all__ = [
@@ -38,6 +45,7 @@ __all__ = [
     "QuantileLine",
     "ReferenceFit",
     "Reliability",
+    "SilentErrors",
     "SmoothnessScores",
     "TrackingScores",
     "VolumeScores",
@@ -64,6 +72,7 @@ __all__ = [
     "reliability",
     "root_aligned",
     "share_in_hull",
+    "silent_errors",
     "smoothness_scores",
     "sum_volume_scores",
     "tracking_scores",

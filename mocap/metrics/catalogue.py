@@ -141,6 +141,21 @@ CATALOGUE: dict[str, Score] = {
         "Share of true landmarks inside the stated 90 % region. 90 is honest, less is overconfident.",
         "90 % coverage",
     ),
+    "silent_error_percent": Score(
+        "Silent errors",
+        "%",
+        "lower",
+        "Share of the landmarks more than 100 mm off that are called observed and lie outside their own 90 % region.",
+        "Silent errors",
+    ),
+    "silent_errors": Score(
+        "Landmarks silently wrong",
+        "",
+        "lower",
+        "Landmarks more than 100 mm off that are called observed and lie outside their own 90 % region.",
+        "Silently wrong",
+        decimals=0,
+    ),
     "frames": Score(
         "Frames scored",
         "",

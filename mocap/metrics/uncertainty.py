@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap.arrays import Array
+from mocap.arrays import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,20 @@ class CoverageScores:
     n: int
 
 
+@dataclass(frozen=True)
+class SilentErrors:
+    """Landmarks that are far off and say nothing of it: called observed, and outside their own 90 % region.
+
+    percent : their share of the landmarks that are far off, None without any.  n_silent, n_large : both counts.
+    """
+
+    percent: float | None
+    n_silent: int
+    n_large: int
+
+
+# Farther off than this, a landmark is on another limb or on nothing.
+LARGE_ERROR_MM = 100.0
 RELIABILITY_LEVELS = tuple(round(0.05 * i, 2) for i in range(1, 20))
 
 
@@ -103,6 +117,24 @@ def coverage_scores(estimate: Array, truth: Array, std: Array, level: float = 0.
     inside = squared <= bound
     radius = 1000.0 * np.sqrt(bound) * np.prod(sigma, axis=1) ** (1.0 / 3.0)
     return CoverageScores(100.0 * level, 100.0 * float(inside.mean()), float(radius.mean()), len(squared))
+
+
+def silent_errors(
+    estimate: Array, truth: Array, std: Array, observed: Mask, *, large_mm: float = LARGE_ERROR_MM
+) -> SilentErrors:
+    """Errors of which a user could not have known.
+
+    estimate, truth, std : (T, M, 3) m, as `coverage_scores`.  observed : (T, M) bool, what the estimate says that its
+    data show. Landmarks with a NaN anywhere are left out, as are those of an estimate that states no deviations.
+    """
+    from scipy.special import chdtri
+
+    squared, _, difference = _claims(estimate, truth, std)
+    known = np.isfinite(estimate + truth + std).all(axis=2)
+    is_large = 1000.0 * np.linalg.norm(difference, axis=1) > large_mm
+    is_silent = is_large & observed[known] & (squared > float(chdtri(3, 0.1)))
+    n_large, n_silent = int(is_large.sum()), int(is_silent.sum())
+    return SilentErrors(100.0 * n_silent / n_large if n_large else None, n_silent, n_large)
 
 
 def _claims(estimate: Array, truth: Array, std: Array) -> tuple[Array, Array, Array]:

@@ -53,6 +53,7 @@ def run_session(
     seed: int = 0,
     until: str = "report",
     resume: bool = False,
+    rehash: bool = False,
     frames: tuple[int | None, int | None] | None = None,
     calibration: Path | str | None = None,
     n_threads: int | None = None,
@@ -63,6 +64,7 @@ def run_session(
 
     config : None = the preset `default`.  until : last stage to run, one of UNTIL.  resume : reuse stage products
     in `out` whose configuration, inputs and code are the same; otherwise everything is computed anew.
+    rehash : distrust what an earlier run remembers of files whose size and times are the same.
     frames : (start, stop).  n_threads : None = up to 2; the result does not depend on it.
     progress : called as progress(stage, done, total).
     Raises MocapError for bad input, before the first stage where possible, and when another command works in `out`.
@@ -93,7 +95,7 @@ def run_session(
     )
     with sole_use(out, command):
         try:
-            steps = list(_steps(job, kind, until, resume=resume))
+            steps = list(_steps(job, kind, until, resume=resume, rehash=rehash))
             return _publish(job, out, _collect(job, kind, until), steps, until=until, command=command)
         finally:
             job.store.remove_unfinished()
@@ -102,10 +104,12 @@ def run_session(
 _WITH_POSES = ("pose", OUTPUTS)
 
 
-def _steps(job: Job, kind: str, until: str, *, resume: bool) -> Iterator[tuple[StageRecord, StageReport]]:
+def _steps(
+    job: Job, kind: str, until: str, *, resume: bool, rehash: bool
+) -> Iterator[tuple[StageRecord, StageReport]]:
     """The stages in order, each reused or computed."""
     # Only who resumes trusts what an earlier run remembers of the input files.
-    hashes = FileHashes(job.store.path / ".inputs.json", is_trusted=resume)
+    hashes = FileHashes(job.store.path / ".inputs.json", is_trusted=resume and not rehash)
     keys = stage_keys(job.session, job.config, job.seed, kind, hashes)
     hashes.keep()
     for stage in stages_until(kind, until):

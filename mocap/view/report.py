@@ -61,6 +61,7 @@ REPORT_SCORES = (
     "mismatches",
     "volume_iou",
     "coverage_90_percent",
+    "silent_error_percent",
     "frames",
 )
 MASK_NUMBERS: dict[str, tuple[str, str]] = {

@@ -32,7 +32,7 @@ FPS = 25.0
 T = 30
 
 
-def body(person, x=0.0, frames=None, noise=0.0, rng=None, scale=1.0, std=None):
+def body(person, x=0.0, frames=None, noise=0.0, rng=None, scale=1.0, std=None, observed=None):
     """A figure that walks along y at the given x."""
     frames = np.arange(T) if frames is None else np.asarray(frames)
     rest = np.random.default_rng(0).normal([0.0, 0.0, 1.0], 0.25, (15, 3))
@@ -40,7 +40,8 @@ def body(person, x=0.0, frames=None, noise=0.0, rng=None, scale=1.0, std=None):
     if rng is not None:
         landmarks = landmarks + rng.normal(0, noise, landmarks.shape)
     spread = None if std is None else np.full_like(landmarks, std)
-    return Motion(person, frames, frames / FPS, scale * landmarks, spread)
+    seen = None if observed is None else np.full(landmarks.shape[:2], observed)
+    return Motion(person, frames, frames / FPS, scale * landmarks, spread, seen)
 
 
 def tracks_of(motions):
@@ -64,6 +65,15 @@ def test_perfect_estimate_has_every_key_and_is_json():
     assert scores["epsilon_opt_mm"] is None  # all errors are equal
     assert (scores["frames"], scores["persons_matched"], scores["unit_warning"]) == (T, 2, None)
     assert scores["per_landmark_mm"] == dict.fromkeys(LANDMARKS, 0.0)
+
+
+def test_errors_that_nobody_was_told_of():
+    truth = [body(1)]
+    for observed, n_silent in ((True, 15 * T), (False, 0), (None, 15 * T)):
+        scores = evaluate([body(1, x=0.3, std=0.02, observed=observed)], truth, None, None)
+        assert scores["silent_errors"] == n_silent
+        assert scores["silent_error_percent"] == (100.0 if n_silent else 0.0)
+    assert evaluate([body(1, x=0.3)], truth, None, None)["silent_error_percent"] is None
 
 
 def test_noise_of_known_size_and_honest_deviations():

@@ -147,7 +147,7 @@ def test_scores_take_only_matched_landmarks():
     x = walk(8, np.random.default_rng(7))
     y = x.copy()
     y[:, AT("left_wrist")] += 0.5
-    pair = Pair(1, np.arange(8), y, x, np.full_like(x, np.nan))
+    pair = Pair(1, np.arange(8), y, x, np.full_like(x, np.nan), np.ones(x.shape[:2], bool))
     gated, open_ = (angles_on_reference_skeleton([pair], e) for e in (100.0, None))
     assert np.isnan(gated.per_angle_deg[list(ANGLES).index("left_elbow")])
     assert open_.per_angle_deg[list(ANGLES).index("left_elbow")] > 1.0

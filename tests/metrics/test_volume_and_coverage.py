@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocap.metrics import coverage_scores, sum_volume_scores, volume_scores
+from mocap.metrics import coverage_scores, silent_errors, sum_volume_scores, volume_scores
 
 # Standard error of a coverage of 90 % from 12,000 landmarks is 0.27 points; four of them.
 COVERAGE_TOLERANCE = 1.1
@@ -60,3 +60,18 @@ def test_unknown_and_certain_landmarks():
         coverage_scores(truth, truth, std[:1])
     with pytest.raises(ValueError, match="level"):
         coverage_scores(truth, truth, std, 1.0)
+
+
+def test_a_large_error_is_silent_unless_it_is_flagged_or_inside_its_region():
+    truth = np.zeros((1, 5, 3))
+    estimate = truth.copy()
+    estimate[0, :, 0] = [0.099, 0.2, 0.2, 0.2, 0.2]
+    std = np.full_like(truth, 0.02)
+    std[0, 2] = 0.2
+    observed = np.array([[True, True, True, False, True]])
+    s = silent_errors(estimate, truth, std, observed)
+    assert (s.n_silent, s.n_large, s.percent) == (2, 4, 50.0)
+    estimate[0, 4] = np.nan
+    assert silent_errors(estimate, truth, std, observed).n_large == 3
+    assert silent_errors(truth, truth, std, observed).percent is None
+    assert silent_errors(truth + 1.0, truth, np.full_like(std, np.nan), observed).percent is None

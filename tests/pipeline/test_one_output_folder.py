@@ -16,10 +16,11 @@ from small_session import PLAIN, copy_session, mocap, set_options, small_session
 from mocap.compare import compare
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
-from mocap.pipeline import lock
+from mocap.pipeline import inputs, lock
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.export import export_run
 from mocap.pipeline.finished import read_record, rewrite_report, rewrite_scene
+from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.lock import LOCK_NAME, sole_use
 from mocap.pipeline.publish import published
 from mocap.pipeline.record import record_to_json
@@ -61,6 +62,28 @@ def test_the_record_is_what_run_json_holds(finished: Path) -> None:
     assert record_to_json(read_record(finished)) == about
     assert about["kind"] == "voxels"
     assert about["product_keys"].keys() == {"segment", "occluders", "carve", "track", "track-owners", "pose"}
+
+
+def test_rehash_distrusts_what_is_remembered_of_files(
+    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file system that does not tell that a file has changed."""
+    copied, out = Path(shutil.copytree(session, tmp_path / "session")), tmp_path / "out"
+    options = ["run", copied, "-o", out, "--until", "segment", *set_options(SMALL)]
+    assert mocap(*options).code == 0
+    changed = copied / "masks" / "cam_0" / "0000.png"
+    changed.write_bytes((copied / "masks" / "cam_3" / "0003.png").read_bytes())
+    notes = out / "store.zarr" / ".inputs.json"
+    document = json.loads(notes.read_text()) if notes.exists() else {"format": 1, "files": {}}
+    monkeypatch.setattr(inputs, "_OF_THIS_PROCESS", {})
+    stat = changed.stat()
+    marks = [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_dev, stat.st_ino]
+    original = session / "masks" / "cam_0" / "0000.png"
+    document["files"][str(changed.resolve())] = [*marks, FileHashes().of(original)]
+    notes.write_text(json.dumps(document))
+    assert "reused" in mocap(*options, "--resume").out
+    monkeypatch.setattr(inputs, "_OF_THIS_PROCESS", {})
+    assert "reused" not in mocap(*options, "--resume", "--rehash").out
 
 
 # --- what a run does not write anew is not left behind ---
