@@ -15,22 +15,26 @@ _FOREGROUND_SHIFT = 9
 
 
 @njit(cache=True, nogil=True)
-def place_parts(state, needed, parent, offset, rest_angle, first_column, frames):
+def place_parts(state, needed, parent, offset, rest_angle, first_column, angle_column, frames):
     """Fill frames (P, 5): origin x, y, orientation, its cosine and sine, of the needed parts."""
     for p in range(parent.shape[0]):
         if not needed[p]:
             continue
         c = first_column[p]
+        a = angle_column[p]
         q = parent[p]
         if q < 0:
             frames[p, 0] = state[c]
             frames[p, 1] = state[c + 1]
-            frames[p, 2] = state[c + 2]
+            frames[p, 2] = state[a]
         else:
             ox, oy = offset[p, 0], offset[p, 1]
+            if a > c:
+                ox += state[c]
+                oy += state[c + 1]
             frames[p, 0] = frames[q, 0] + frames[q, 3] * ox - frames[q, 4] * oy
             frames[p, 1] = frames[q, 1] + frames[q, 4] * ox + frames[q, 3] * oy
-            frames[p, 2] = frames[q, 2] + rest_angle[p] + state[c]
+            frames[p, 2] = frames[q, 2] + rest_angle[p] + state[a]
         frames[p, 3] = np.cos(frames[p, 2])
         frames[p, 4] = np.sin(frames[p, 2])
 
@@ -103,7 +107,18 @@ def _add_run(histogram, value, run):
 
 @njit(cache=True, nogil=True)
 def polygon_histograms_kernel(
-    states, scored, needed, parent, offset, rest_angle, first_column, corners, corner_start, image, counts
+    states,
+    scored,
+    needed,
+    parent,
+    offset,
+    rest_angle,
+    first_column,
+    angle_column,
+    corners,
+    corner_start,
+    image,
+    counts,
 ):
     """Fill counts (N, n_scored, 26) int64: 3 * 8 bins, area, foreground area; -1 where a corner is not finite."""
     frames = np.empty((parent.shape[0], 5))
@@ -113,7 +128,7 @@ def polygon_histograms_kernel(
     x = np.empty(most)
     y = np.empty(most)
     for n in range(states.shape[0]):
-        place_parts(states[n], needed, parent, offset, rest_angle, first_column, frames)
+        place_parts(states[n], needed, parent, offset, rest_angle, first_column, angle_column, frames)
         for j in range(scored.shape[0]):
             p = scored[j]
             lo = corner_start[p]
@@ -144,6 +159,7 @@ def polygon_scores_kernel(
     offset,
     rest_angle,
     first_column,
+    angle_column,
     corners,
     corner_start,
     image,
@@ -166,6 +182,7 @@ def polygon_scores_kernel(
             offset,
             rest_angle,
             first_column,
+            angle_column,
             corners,
             corner_start,
             image,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,7 +24,8 @@ class PolygonTree:
     """A tree of convex polygons in pixels; u to the right, v down, angles from u towards v.
 
     layout : a root part has three columns x (px), y (px) and theta (rad); every other part has one, the angle at
-    its joint against its parent (reading guide 22).
+    its joint against its parent, or with a loose joint three: how far the joint lies off its place, x and y (px) in
+    the frame of the parent, and the angle (reading guide 22).
     offset : (P, 2) px, joint of each part in the frame of its parent; unused for roots.
     rest_angle : (P,) rad, orientation against the parent when the angle is 0.
     corners : (S, 2) px, corners of all parts, each in the frame of its part (origin at the joint; for a root at
@@ -44,9 +45,10 @@ class PolygonTree:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
         for p in range(P):
             n_columns = len(self.layout.columns_of(p))
-            expected = 3 if self.layout.parent_of_part[p] < 0 else 1
-            if n_columns != expected:
-                raise ValueError(f"part {self.layout.parts[p]} has {n_columns} columns, expected {expected}")
+            expected = (3,) if self.layout.parent_of_part[p] < 0 else (1, 3)
+            if n_columns not in expected:
+                words = " or ".join(map(str, expected))
+                raise ValueError(f"part {self.layout.parts[p]} has {n_columns} columns, expected {words}")
             if not _is_convex(self.corners_of(p)):
                 raise ValueError(f"the corners of part {self.layout.parts[p]} are no convex polygon")
 
@@ -56,8 +58,13 @@ class PolygonTree:
 
     @cached_property
     def first_column(self) -> NDArray[np.int64]:
-        """(P,) column of x for roots, of the angle for all other parts."""
+        """(P,) column of x for roots and parts on loose joints, of the angle for all other parts."""
         return np.array([self.layout.columns_of(p)[0] for p in range(self.layout.n_parts)])
+
+    @cached_property
+    def angle_column(self) -> NDArray[np.int64]:
+        """(P,) column of the angle; that of a part with one column is its first."""
+        return np.array([self.layout.columns_of(p)[-1] for p in range(self.layout.n_parts)])
 
     @cached_property
     def is_ancestor(self) -> NDArray[np.bool_]:
@@ -69,14 +76,19 @@ class PolygonTree:
         return out
 
     @cached_property
-    def chain(self) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.int64], Array, NDArray[np.int64]]:
-        """What kernels need: parent, offset, rest angle, first column, corners, corner start."""
+    def chain(
+        self,
+    ) -> tuple[
+        NDArray[np.int64], Array, Array, NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int64]
+    ]:
+        """What kernels need: parent, offset, rest angle, first and angle column, corners, corner start."""
         parent = self.layout.parent_of_part
         return (
             parent,
             self.offset,
             self.rest_angle,
             self.first_column,
+            self.angle_column,
             self.corners,
             self.corner_start,
         )
@@ -166,6 +178,38 @@ def _regular_polygon(n_sides: int, apothem: float) -> Array:
     return apothem / np.cos(np.pi / n_sides) * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
+def with_loose_joints(tree: PolygonTree) -> tuple[PolygonTree, NDArray[np.int64]]:
+    """The same objects with three columns for every part, 3 P in all, and where the old columns stand in them (D,).
+
+    A part may then leave its joint; a state that is zero in the new columns is the old one.
+    Source: SW 6.2 and XN 4.4.2 (x^k = (x, y, theta), |X| = 3P).
+    """
+    old = tree.layout
+    names: list[str] = []
+    part_of_column: list[int] = []
+    kept: list[int] = []
+    for p in range(old.n_parts):
+        own = [old.names[c] for c in old.columns_of(p)]
+        if len(own) == 1:
+            own = [*(own[0].removesuffix("angle") + axis for axis in "xy"), *own]
+            kept.append(len(names) + 2)
+        else:
+            kept += range(len(names), len(names) + 3)
+        names += own
+        part_of_column += [p] * len(own)
+    D = len(names)
+    layout = StateLayout(
+        names=tuple(names),
+        lower=np.full(D, -np.inf),
+        upper=np.full(D, np.inf),
+        is_circular=np.arange(D) % 3 == 2,
+        parts=old.parts,
+        part_of_column=np.array(part_of_column),
+        parent_of_part=old.parent_of_part,
+    )
+    return replace(tree, layout=layout), np.array(kept)
+
+
 def object_trees(tree: PolygonTree) -> tuple[tuple[PolygonTree, NDArray[np.int64]], ...]:
     """Every object of a tree of several on its own, with the columns (D',) of its state in the whole."""
     root_of = np.arange(tree.layout.n_parts)
@@ -207,13 +251,14 @@ def part_frames(tree: PolygonTree, states: Array) -> tuple[Array, Array]:
     origin = np.empty((N, P, 2))
     angle = np.empty((N, P))
     for p in range(P):
-        c, q = tree.first_column[p], tree.layout.parent_of_part[p]
+        c, a, q = tree.first_column[p], tree.angle_column[p], tree.layout.parent_of_part[p]
         if q < 0:
             origin[:, p] = states[:, c : c + 2]
-            angle[:, p] = states[:, c + 2]
+            angle[:, p] = states[:, a]
         else:
-            origin[:, p] = origin[:, q] + _turned(tree.offset[p], angle[:, q])
-            angle[:, p] = angle[:, q] + tree.rest_angle[p] + states[:, c]
+            joint = tree.offset[p] + (states[:, c : c + 2] if a > c else 0.0)
+            origin[:, p] = origin[:, q] + _turned(joint, angle[:, q])
+            angle[:, p] = angle[:, q] + tree.rest_angle[p] + states[:, a]
     return origin, angle
 
 

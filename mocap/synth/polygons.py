@@ -81,6 +81,8 @@ class PolygonSceneSettings:
     """Standard deviation of the weak speed of every angle, rad per frame."""
     n_clutter: int = 0
     """Rectangles and polygons in the objects' colours on the background (XN 6.2.1.1)."""
+    is_clutter_known: bool = True
+    """Whether the foreground is what differs from the empty picture; otherwise from plain grey, clutter included."""
 
     def __post_init__(self) -> None:
         for name in ("width", "height", "n_frames"):
@@ -134,20 +136,26 @@ class PolygonScene:
         return PALETTE[self.labels(frame)]
 
     def bins(self, frame: int) -> NDArray[np.uint16]:
-        """Colour bins of a frame with its foreground: the pixels that differ from the empty picture."""
+        """Colour bins of a frame with its foreground: the pixels that differ from the empty picture, or from grey."""
         out = self._empty_bins.copy()
         low = np.maximum(np.floor(self.corners[frame].min(axis=0)).astype(np.int64) - 2, 0)
         high = np.maximum(np.ceil(self.corners[frame].max(axis=0)).astype(np.int64) + 3, 0)
         box = np.s_[low[1] : high[1], low[0] : high[0]]  # the objects; elsewhere the picture is empty
         labels = self.labels(frame)[box]
-        foreground = np.where(labels != self.background[box], FOREGROUND_BIT, np.uint16(0))
+        foreground = np.where(labels != self._expected[box], FOREGROUND_BIT, np.uint16(0))
         out[box] = _BINS_OF_LABEL[labels] | foreground
         return out
 
     @cached_property
+    def _expected(self) -> NDArray[np.uint8]:
+        """Palette indices (H, W) of what is no foreground."""
+        return self.background if self.settings.is_clutter_known else np.zeros_like(self.background)
+
+    @cached_property
     def _empty_bins(self) -> NDArray[np.uint16]:
         """Colour bins of the empty picture (H, W)."""
-        return _BINS_OF_LABEL[self.background]
+        clutter = np.where(self.background != self._expected, FOREGROUND_BIT, np.uint16(0))
+        return np.asarray(_BINS_OF_LABEL[self.background] | clutter)
 
     def problem(self, frame: int, settings: PolygonLikelihoodSettings | None = None) -> PolygonProblem:
         """The articulated problem of a frame; reference histograms are those of the true state in frame 0."""

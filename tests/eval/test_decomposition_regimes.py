@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from eval import decomposition_own_worlds as own
 from eval.decomposition.cells import WORLDS, RunKey, SceneKey, run_scene, scene_of, start_of
 from eval.decomposition.readings import (
     READINGS,
@@ -144,11 +145,17 @@ def test_worlds_differ_from_their_base_in_one_thing() -> None:
         "absolute": {"has_absolute_state"},
         "absolute-film": {"has_absolute_state", "has_absolute_motion"},
         "colour-only": {"likelihood"},
+        "clutter-in-sight": {"scene"},
+        "slow": {"scene"},
+        "slow-by-hand": {"scene", "start_px", "start_rad"},
+        "loose": {"has_loose_joints"},
+        "loose-slow": {"has_loose_joints", "scene"},
+        "loose-slow-by-hand": {"has_loose_joints", "scene", "start_px", "start_rad"},
         "15": {"likelihood"},
         "200": {"likelihood"},
         "141": {"std_px", "std_rad"},
     }
-    for name in WORLDS_4_5 + WORLDS_6:
+    for name in WORLDS_4_5 + WORLDS_6 + own.WORLDS:
         base, _, what = name.replace("step", "sw").partition("_")
         one, two = vars(WORLDS[name]), vars(WORLDS[base])
         assert {field for field in one if one[field] != two[field]} == allowed.get(what, set()), name
@@ -176,7 +183,29 @@ def test_an_absolute_film_has_the_same_numbers_as_angles_of_the_picture() -> Non
     np.testing.assert_array_equal(same.states, plain.states)
 
 
-@pytest.mark.parametrize("world", [w for w in WORLDS_4_5 + WORLDS_6 if "_" in w])
+def test_a_slow_film_is_the_same_film_with_smaller_steps() -> None:
+    fast, slow = WORLDS["sw"].scene, WORLDS["sw_slow"].scene
+    assert slow.speed_px == pytest.approx(0.4 * fast.speed_px)
+    assert slow.speed_rad == pytest.approx(0.4 * fast.speed_rad)
+    assert replace(slow, speed_px=fast.speed_px, speed_rad=fast.speed_rad) == fast
+
+
+def test_loose_joints_start_where_jointed_parts_start_and_move_with_noise_of_their_own() -> None:
+    """Without noise both states stay at the start, so the errors agree; with it the looser state errs more."""
+    still = {w: replace(WORLDS[w], std_px=0.0, std_rad=0.0) for w in ("sw", "sw_loose")}
+    rows = {}
+    for name, world in still.items():
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(WORLDS, name, world)
+            rows[name] = run_scene(SceneKey(name, 3, 3, n_frames=4), [RunKey("ps", 10)])[0]
+    assert rows["sw"]["error_px"] == rows["sw_loose"]["error_px"]
+    jointed, loose = (
+        run_scene(SceneKey(w, 3, 6, n_frames=12), [RunKey("ps", 30)])[0]["error_px"] for w in still
+    )
+    assert float(loose) > 1.2 * float(jointed)
+
+
+@pytest.mark.parametrize("world", [w for w in WORLDS_4_5 + WORLDS_6 + own.WORLDS if "_" in w])
 def test_every_world_and_reading_tracks(world: str) -> None:
     """Two frames: nobody can be lost yet."""
     names = (
@@ -192,7 +221,9 @@ def test_every_world_and_reading_tracks(world: str) -> None:
         assert float(row["evaluations"]) == pytest.approx(40, abs=1)
 
 
-@pytest.mark.parametrize("table", [chapters_4_5(SEEDS), chapter_6(SEEDS), *as_printed(SEEDS)])
+@pytest.mark.parametrize(
+    "table", [chapters_4_5(SEEDS), chapter_6(SEEDS), own.own_worlds(SEEDS), *as_printed(SEEDS)]
+)
 def test_every_order_compares_two_methods_that_some_cell_has(table: Table) -> None:
     found: dict[tuple[str, ...], dict[str, int]] = {}
     for cell in table.cells:
@@ -211,3 +242,4 @@ def test_every_order_compares_two_methods_that_some_cell_has(table: Table) -> No
 def test_the_scenes_are_in_no_reported_table() -> None:
     """Reported tables number their scenes from 0."""
     assert FIRST_SCENE >= 1000
+    assert own.FIRST_SCENE >= FIRST_SCENE + 1000

@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocap.polygons.tree import PolygonTree, corner_positions, object_trees, part_frames, star_tree
+from mocap.polygons.tree import (
+    PolygonTree,
+    corner_positions,
+    object_trees,
+    part_frames,
+    star_tree,
+    with_loose_joints,
+)
 
 # Sums of a few sines and products of numbers up to 1e3.
 ROUNDING_PX = 1e-9
@@ -83,6 +90,49 @@ def test_objects_taken_apart_stand_where_they_stood() -> None:
     apart = [corner_positions(one, states[:, columns]) for one, columns in found]
     np.testing.assert_array_equal(np.concatenate(apart, axis=1), whole)
     assert found[1][0].layout.parts == tuple(p for p in tree.layout.parts if p.startswith("object1"))
+
+
+@pytest.mark.parametrize(
+    ("arms", "levels", "objects", "columns"), [(4, 3, 1, 27), (5, 3, 1, 33), (5, 4, 1, 48)]
+)
+def test_loose_joints_give_three_columns_for_every_part(
+    arms: int, levels: int, objects: int, columns: int
+) -> None:
+    """SW prints |X| = 3 P = 27, 33, 48. With the new columns at zero the object is the jointed one."""
+    tree = star_tree(arms, levels, objects)
+    loose, kept = with_loose_joints(tree)
+    assert loose.layout.n_columns == columns == 3 * loose.layout.n_parts
+    state = np.random.default_rng(3).normal(size=tree.layout.n_columns)
+    same = np.zeros(columns)
+    same[kept] = state
+    np.testing.assert_array_equal(corner_positions(loose, same), corner_positions(tree, state))
+    assert [loose.layout.names[c] for c in kept] == list(tree.layout.names)
+    assert loose.layout.is_circular[kept].tolist() == tree.layout.is_circular.tolist()
+    assert not loose.layout.is_circular[np.setdiff1d(np.arange(columns), kept)].any()
+    for q, p in enumerate(loose.layout.parent_of_part):
+        assert list(loose.layout.columns_of(q)) == [3 * q, 3 * q + 1, 3 * q + 2]
+        assert p == tree.layout.parent_of_part[q]
+
+
+def test_a_loose_joint_moves_in_the_frame_of_the_parent() -> None:
+    """A root turned by a quarter: 5 px along its u are 5 px along v in the picture, for the part and its child."""
+    loose, _ = with_loose_joints(star_tree(1, 3))
+    state = np.zeros(loose.layout.n_columns)
+    state[2] = np.pi / 2
+    before = part_frames(loose, state[None])[0][0]
+    state[3] = 5.0
+    after = part_frames(loose, state[None])[0][0]
+    np.testing.assert_allclose(after - before, [[0, 0], [0, 5], [0, 5]], atol=ROUNDING_PX)
+    state[3:5] = 0.0, 5.0
+    after = part_frames(loose, state[None])[0][0]
+    np.testing.assert_allclose(after - before, [[0, 0], [-5, 0], [-5, 0]], atol=ROUNDING_PX)
+
+
+def test_loose_objects_can_be_taken_apart() -> None:
+    loose, _ = with_loose_joints(star_tree(2, 3, 2))
+    states = np.random.default_rng(2).normal(size=(4, loose.layout.n_columns))
+    apart = [corner_positions(one, states[:, columns]) for one, columns in object_trees(loose)]
+    np.testing.assert_array_equal(np.concatenate(apart, axis=1), corner_positions(loose, states))
 
 
 def test_several_roots_are_a_layout_and_a_cycle_is_none() -> None:

@@ -84,12 +84,16 @@ def test_the_truth_scores_best() -> None:
     assert np.mean(problem.log_likelihood(near).sum(axis=1) < truth) > 0.97
 
 
-def test_bins_are_those_of_the_picture() -> None:
+@pytest.mark.parametrize("is_clutter_known", [True, False])
+def test_bins_are_those_of_the_picture(is_clutter_known: bool) -> None:
+    """Whoever does not know the clutter takes it for foreground."""
+    changed = {"n_clutter": 12, "is_clutter_known": is_clutter_known}
     scene = make_polygon_scene(
-        PolygonSceneSettings(**{**vars(SETTINGS), "n_clutter": 12}), rng=np.random.default_rng(7)
+        PolygonSceneSettings(**{**vars(SETTINGS), **changed}), rng=np.random.default_rng(7)
     )
     frame = scene.frame(9)
-    foreground = np.any(frame != PALETTE[scene.background], axis=2)
+    empty = PALETTE[scene.background] if is_clutter_known else PALETTE[0]
+    foreground = np.any(frame != empty, axis=2)
     np.testing.assert_array_equal(scene.bins(9), colour_bins(frame, foreground))
     assert 0 < np.count_nonzero(foreground) < 0.3 * foreground.size
 
