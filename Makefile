@@ -33,12 +33,13 @@ $(STAMP): pyproject.toml constraints.txt
 	       "make venv PYTHON=python3.12" >&2; exit 2; }
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { \
 	  echo "$(PYTHON) cannot make virtual environments. Debian, Ubuntu: apt install python3-venv" >&2; exit 2; }
-	@echo "Preparing $(VENV) with $$($(PYTHON) --version); this takes a minute or two, once"
+	@echo "Preparing $(VENV) with $$($(PYTHON) --version); this takes two or three minutes, once"
 	@rm -f $@
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[$(EXTRAS)]" || { \
 	  echo "The packages could not be installed; pip says why above. Run the same command again when it is mended." >&2; \
 	  exit 2; }
+	@$(BIN)/mocap warm-up
 	@touch $@
 	@echo "Ready: $(BIN)/mocap --help"
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+import queue
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import TypeVar
+from types import TracebackType
+from typing import Generic, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -31,3 +34,50 @@ def in_parallel(job: Callable[[T], R], items: Sequence[T], n_threads: int) -> li
     if n_threads <= 1 or len(items) <= 1:
         return [job(item) for item in items]
     return list(worker_threads(n_threads).map(job, items))
+
+
+class Ahead(Generic[T]):
+    """The items of an iterator in their order, made on a thread of its own, at most n_items before they are taken.
+
+    With one, the next item is begun when the last one is taken. An error is raised where the item would have been
+    taken. Use as context manager: leaving it ends the thread.
+    """
+
+    def __init__(self, items: Iterator[T], n_items: int) -> None:
+        self._items = items
+        self._room = threading.Semaphore(n_items)
+        self._made: queue.SimpleQueue[tuple[T] | BaseException] = queue.SimpleQueue()
+        self._is_stopped = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="mocap-ahead", daemon=True)
+
+    def __enter__(self) -> Ahead[T]:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_stopped.set()
+        self._room.release()
+        self._thread.join()
+
+    def __iter__(self) -> Iterator[T]:
+        return self
+
+    def __next__(self) -> T:
+        item = self._made.get()
+        if isinstance(item, BaseException):
+            raise item
+        self._room.release()
+        return item[0]
+
+    def _work(self) -> None:
+        try:
+            while True:
+                self._room.acquire()
+                if self._is_stopped.is_set():
+                    return
+                self._made.put((next(self._items),))
+        except Exception as error:
+            # Not swallowed: who takes the items raises it in his own thread.
+            self._made.put(error)

@@ -35,6 +35,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "calibrate": tools.calibrate,
     "view": tools.view,
     "report": tools.report,
+    "warm-up": tools.warm_up,
     "batch": cluster.batch,
     "sweep": cluster.sweep,
 }

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from mocap.compiling import COMPILING
+
 if TYPE_CHECKING:
     from mocap.pipeline.cluster import Standing
     from mocap.progress import Progress
@@ -55,6 +57,8 @@ def _lines() -> Progress:
 
     def show(stage: str, done: int, total: int) -> None:
         now = time.monotonic()
+        if stage == COMPILING and stage not in last:
+            sys.stderr.write("compiling: once after installation, or with `mocap warm-up`\n")
         if stage not in last:
             last[stage] = now  # the first line comes after ten seconds, or at the end
         if done == total and total == finished.get(stage):
@@ -79,7 +83,8 @@ class FinishedStages:
         """The progress to hand on, which tells `show` and is remembered here."""
 
         def heard(stage: str, done: int, total: int) -> None:
-            self._left[stage] = total - done
+            if stage != COMPILING:
+                self._left[stage] = total - done
             show(stage, done, total)
 
         return heard

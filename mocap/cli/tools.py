@@ -18,6 +18,7 @@ from mocap.cli.options import (
     parse_frames,
 )
 from mocap.cli.progress import progress_bar
+from mocap.compiling import COMPILING
 from mocap.errors import MissingExtra, MocapError
 
 
@@ -199,3 +200,19 @@ def convert_calibration(
     typer.echo(f"{found.format}, units {found.units}: {len(found.rig)} cameras -> {out}")
     for note in (*found.notes, *found.warnings):
         typer.echo(f"  {note}")
+
+
+def warm_up() -> None:
+    """Compile what a run needs, once after installation: about a minute, which the first run takes otherwise."""
+    import time
+
+    from mocap.pipeline.warm_up import warm_up as compile_kernels
+
+    started = time.perf_counter()
+    with progress_bar() as progress:
+        n = compile_kernels(
+            lambda what, done, total: progress(what, done, total) if what == COMPILING else None
+        )
+    typer.echo(
+        f"{n} kernels compiled in {time.perf_counter() - started:.0f} s" if n else "Everything is compiled"
+    )

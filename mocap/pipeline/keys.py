@@ -20,7 +20,7 @@ def stage_keys(
 ) -> dict[str, str]:
     """The key of every stage: a hash of its code, its inputs, its settings and the stages that it needs.
 
-    What a stage declares is what it is shown (`run_stage`), so that no setting decides a result without being here.
+    What a stage declares is what it is shown (`run_together`), so that no setting decides a result without being here.
     kind : `markers` or `voxels`, which have stages of their own.  hashes : of files, None = all are read.
     """
     inputs = input_hash(session, hashes or FileHashes())

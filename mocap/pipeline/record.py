@@ -22,7 +22,8 @@ OUTPUTS = "report"
 
 @dataclass(frozen=True)
 class StageRecord:
-    """One stage of a run.  wall_s : None = it was reused.  numbers : of its report."""
+    """One stage of a run.  wall_s : that it worked, beside others perhaps; None = it was reused.  numbers : of its
+    report."""
 
     name: str
     key: str

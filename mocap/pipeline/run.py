@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap.compare import score_run
+from mocap.compiling import compilation_shown
 from mocap.errors import MocapError
 from mocap.io._files import atomic_text
 from mocap.io.session import Session, open_session
@@ -36,7 +37,8 @@ from mocap.pipeline.record import (
     versions,
 )
 from mocap.pipeline.report_data import write_run_report
-from mocap.pipeline.stage import Job, StageReport, is_done, run_stage
+from mocap.pipeline.stage import Job, StageReport, is_done
+from mocap.pipeline.walk import run_together, walks
 from mocap.portable import peak_memory_mb
 from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
@@ -93,7 +95,7 @@ def run_session(
         n_threads=n_threads or min(2, os.cpu_count() or 1),
         progress=progress or no_progress,
     )
-    with sole_use(out, command):
+    with sole_use(out, command), compilation_shown(job.progress):
         try:
             steps = list(_steps(job, kind, until, resume=resume, rehash=rehash))
             return _publish(job, out, _collect(job, kind, until), steps, until=until, command=command)
@@ -112,15 +114,15 @@ def _steps(
     hashes = FileHashes(job.store.path / ".inputs.json", is_trusted=resume and not rehash)
     keys = stage_keys(job.session, job.config, job.seed, kind, hashes)
     hashes.keep()
-    for stage in stages_until(kind, until):
-        own = replace(job, key=keys[stage.name])
-        wall_s = None
-        if not (resume and is_done(stage, own.store, own.key)):
-            started = time.perf_counter()
-            run_stage(stage, own)
-            wall_s = time.perf_counter() - started
-        report = stage.report(own)
-        yield StageRecord(stage.name, own.key, wall_s, report.numbers), report
+    jobs = {name: replace(job, key=key) for name, key in keys.items()}
+    stages = stages_until(kind, until)
+    is_reused = {s.name: resume and is_done(s, job.store, keys[s.name]) for s in stages}
+    walls_s: dict[str, float] = {}
+    for together in walks([stage for stage in stages if not is_reused[stage.name]]):
+        walls_s |= run_together([(stage, jobs[stage.name]) for stage in together])
+    for stage in stages:
+        report = stage.report(jobs[stage.name])
+        yield StageRecord(stage.name, keys[stage.name], walls_s.get(stage.name), report.numbers), report
 
 
 def _collect(job: Job, kind: str, until: str) -> Found:

@@ -1,14 +1,12 @@
 """A stage of a run: what it needs, what decides its result, and how it computes, frame by frame or on the whole clip.
 
-The loop over frames, the store, progress and threads stand here once, around every stage that works frame by frame.
+The loop over frames, with the store, progress and threads around it, is `mocap.pipeline.walk`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -55,9 +53,11 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One frame as a step is shown it: only what its work reads.
+    """One frame as a step is shown it: what its work reads, and what the stages before it have found in it.
 
     index : place in the clip.  pictures : (H, W, 3) uint8 RGB of every camera.  masks : (H, W) bool of every camera.
+    tracks : those of the tracker in this frame, as they are called until now.  owner : (N,) serial + 1 of the track
+    that holds each voxel of the hull, 0 = nobody.
     """
 
     index: int
@@ -65,6 +65,8 @@ class Seen:
     pictures: Sequence[NDArray[np.uint8]] | None = None
     masks: Sequence[NDArray[np.bool_]] | None = None
     hull: Hull | None = None
+    tracks: Sequence[Any] | None = None
+    owner: NDArray[np.uint32] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +99,16 @@ class FrameWork:
     """A stage as steps over frames, with everything that it remembers in a state.
 
     reads : what a step is shown: field of `Seen` -> (frame, value) in order; opened and closed by the loop.
-    step : gives the rows that are certain by now, of this frame or earlier.
+    step : gives the frame with what was found in it, for the stages that walk along, and the rows that are certain by
+    now, of this frame or earlier.
+    finds : fields of `Seen` that a step fills in; a stage that walks along reads them from no file.
     """
 
     reads: Callable[[Job], Sources]
     start: Callable[[Job], Any]
-    step: Callable[[Any, Seen], tuple[Any, Sequence[Row]]]
+    step: Callable[[Any, Seen], tuple[Any, Seen, Sequence[Row]]]
     finish: Callable[[Any], Ending]
+    finds: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -118,8 +123,9 @@ class Stage:
     """A stage.
 
     until : the word that ends a run after it.  products : what it writes; all of them, or it has not been run.
-    needs : stages before it.  sections : of the configuration, that decide its result.  facts : of the session, besides
-    its files and cameras.  is_random : whether the seed decides, by configuration.
+    needs : stages before it.  needs_whole : those of them whose whole product its first frame needs.
+    sections : of the configuration, that decide its result.  facts : of the session, besides its files and cameras.
+    is_random : whether the seed decides, by configuration.
     """
 
     name: str
@@ -128,6 +134,7 @@ class Stage:
     work: FrameWork | ClipWork
     report: Callable[[Job], StageReport]
     needs: tuple[str, ...] = ()
+    needs_whole: tuple[str, ...] = ()
     sections: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
     is_random: Callable[[Config], bool] = lambda config: False
@@ -141,53 +148,6 @@ class Stage:
 def is_done(stage: Stage, store: StageStore, key: str) -> bool:
     """Whether every product of the stage is complete under this very key."""
     return all(store.is_complete(product, key) for product in stage.products)
-
-
-def run_stage(stage: Stage, job: Job) -> None:
-    """Compute the products of a stage into the store; of the configuration it is shown what its key holds."""
-    job = replace(job, config=job.config.only(stage.sections))
-    if isinstance(stage.work, ClipWork):
-        stage.work.run(job)
-        return
-    with ThreadPoolExecutor(max(1, job.n_threads)) as pool:
-        state = stage.work.start(replace(job, each=pool.map))
-        while state is not None:
-            state = _walk(stage, stage.work, state, job)
-
-
-def _walk(stage: Stage, work: FrameWork, state: Any, job: Job) -> Any:
-    """One walk over all frames; gives the state of the next one, None after the last."""
-    n = len(job.session.frames)
-    with ExitStack() as stack:
-        out = {product: stack.enter_context(job.writer(product)) for product in stage.products}
-        for seen in _frames(job, work.reads(job), stack):
-            state, rows = work.step(state, seen)
-            _append(out, rows)
-            job.progress(stage.name, seen.index + 1, n)
-        ending = work.finish(state)
-        if ending.again is not None:
-            for writer in out.values():
-                writer.discard()
-            return ending.again
-        _append(out, ending.rows)
-        for product, attrs in ending.attrs.items():
-            out[product].describe(attrs)
-    return None
-
-
-def _append(out: Mapping[str, StageWriter], rows: Sequence[Row]) -> None:
-    for row in rows:
-        out[row.product].append(row.frame, **row.arrays)
-
-
-def _frames(job: Job, sources: Sources, stack: ExitStack) -> Iterator[Seen]:
-    """The frames of the session in order, with what is read of them; every source is opened once."""
-    for source in sources.values():
-        if isinstance(source, AbstractContextManager):
-            stack.enter_context(source)
-    values = {name: iter(source) for name, source in sources.items()}
-    for i, frame in enumerate(job.session.frames):
-        yield Seen(i, frame, **{name: next(rows)[1] for name, rows in values.items()})
 
 
 def pictures_of(session: Session) -> FrameReader:

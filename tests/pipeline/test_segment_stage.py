@@ -15,8 +15,9 @@ from mocap.io.session import open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.keys import stage_keys
-from mocap.pipeline.stage import Job, run_stage
+from mocap.pipeline.stage import Job
 from mocap.pipeline.stages.segment import SEGMENT, region_of_interest, segment_report
+from mocap.pipeline.walk import run_stage
 from mocap.products.masks import masks_from_arrays
 
 SIZE = (96, 80)

@@ -27,9 +27,10 @@ from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.reach import _imports_of, code_hash_of, reached_from
-from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport, is_done, run_stage
+from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport, is_done
 from mocap.pipeline.stages.pose import POSE
 from mocap.pipeline.stages.track import TRACK
+from mocap.pipeline.walk import run_stage
 
 K = np.array([[90.0, 0.0, 47.5], [0.0, 90.0, 39.5], [0.0, 0.0, 1.0]])
 R = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])

@@ -24,8 +24,8 @@ from mocap.pipeline.stage import (
     Sources,
     Stage,
     StageReport,
-    run_stage,
 )
+from mocap.pipeline.walk import run_stage
 
 FRAMES = range(3, 8)
 
@@ -67,14 +67,15 @@ def stage(source: Source, *, walks: int = 1, fails_at: int | None = None) -> Sta
     def reads(job: Job) -> Sources:
         return {"masks": source}  # type: ignore[dict-item]
 
-    def step(state: State, seen: Seen) -> tuple[State, Sequence[Row]]:
+    def step(state: State, seen: Seen) -> tuple[State, Seen, Sequence[Row]]:
         if seen.frame == fails_at:
             raise RuntimeError("a stage that fails")
         assert seen.masks is not None
         assert seen.frame == FRAMES[seen.index]
         (doubled,) = state.each(lambda f: 2.0 * f, [seen.frame])
         rows = [row("now", seen.frame, doubled + 100 * state.walk), *state.late]
-        return replace(state, late=(row("later", seen.frame, float(seen.masks[0].mean())),)), rows
+        late = (row("later", seen.frame, float(seen.masks[0].mean())),)
+        return replace(state, late=late), seen, rows
 
     def finish(state: State) -> Ending:
         if state.walk < walks:

@@ -11,9 +11,10 @@ from mocap.data import Tracks, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
-from mocap.pipeline.stage import Job, run_stage
+from mocap.pipeline.stage import Job
 from mocap.pipeline.stages.track import TRACK
 from mocap.pipeline.tracking import every_frame, tracker_settings
+from mocap.pipeline.walk import run_stage
 from mocap.products.tracks import stored_tracks, track_row
 from mocap.volume import surface_voxels
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,14 +165,15 @@ def _used(session: Session, faults: tuple[CameraFault, ...]) -> NDArray[np.bool_
     return used
 
 
-def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Sequence[Row]]:
+def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
     assert seen.masks is not None
     used = walk.used[seen.index]
     hull, unknown = walk.carving.hull(seen.masks, seen.pictures, used)
     if walk.monitor is not None:
         walk.monitor.add(seen.frame, seen.masks, seen.pictures)
     pixels = sample_silhouettes(seen.masks, seen.pictures, used)
-    return walk, [Row(PRODUCT, seen.frame, hull_row(hull, unknown, used, pixels))]
+    row = hull_row(hull, unknown, used, pixels)
+    return walk, replace(seen, hull=hull), [Row(PRODUCT, seen.frame, row)]
 
 
 def _finish(walk: _Walk) -> Ending:
@@ -240,9 +241,10 @@ CARVE = Stage(
     until="carve",
     products=(PRODUCT,),
     # Coloured hulls of every frame. Source: CF 2.2.4.
-    work=FrameWork(_reads, _start, _step, _finish),
+    work=FrameWork(_reads, _start, _step, _finish, finds=("hull",)),
     report=carve_report,
     needs=("segment", "occluders"),
+    needs_whole=("occluders",),
     sections=("volume",),
     facts=("room_bounds_m",),
 )

@@ -66,14 +66,14 @@ def _start(job: Job) -> _Detecting:
     return _Detecting(settings, colour=_learnt_colour(session, config))
 
 
-def _step(state: _Detecting, seen: Seen) -> tuple[_Detecting, Sequence[Row]]:
+def _step(state: _Detecting, seen: Seen) -> tuple[_Detecting, Seen, Sequence[Row]]:
     if state.given is not None:
         found = state.given.at(seen.frame)
     else:
         assert seen.pictures is not None
         assert state.colour is not None
         found = [detect_markers(image, state.colour, state.settings) for image in seen.pictures]
-    return state, [Row(PRODUCT, seen.frame, detection_row(found))]
+    return state, seen, [Row(PRODUCT, seen.frame, detection_row(found))]
 
 
 def _finish(state: _Detecting) -> Ending:

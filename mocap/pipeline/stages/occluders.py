@@ -50,11 +50,11 @@ def _start(job: Job) -> _Look:
     return _Look(job, learner, max(1, round(job.session.fps / _LOOKS_PER_S), math.ceil(n / _MOST_LOOKS)))
 
 
-def _step(look: _Look, seen: Seen) -> tuple[_Look, Sequence[Row]]:
+def _step(look: _Look, seen: Seen) -> tuple[_Look, Seen, Sequence[Row]]:
     assert seen.masks is not None
     if look.learner is not None and seen.index % look.stride == 0:
         look.learner.add(masks_by_cells(seen.masks))
-    return look, ()
+    return look, seen, ()
 
 
 def _finish(look: _Look) -> Ending:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -130,16 +130,17 @@ def _start(job: Job) -> _Segmenting:
     return _Segmenting(segmenters, tuple(warnings), job.each)
 
 
-def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Sequence[Row]]:
+def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[Row]]:
     if seen.masks is not None:
         n = len(seen.masks)
         row = mask_row(seen.masks, np.full(n, np.nan, dtype=np.float32), np.ones(n, dtype=np.bool_))
-        return state, [Row(PRODUCT, seen.frame, row)]
+        return state, seen, [Row(PRODUCT, seen.frame, row)]
     assert seen.pictures is not None
     found = list(state.each(lambda s, image: s.segment(image), state.segmenters, seen.pictures))
     usable = np.array([m.is_usable for m in found])
     shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
-    return state, [Row(PRODUCT, seen.frame, mask_row([m.mask for m in found], shadow, usable))]
+    masks = [m.mask for m in found]
+    return state, replace(seen, masks=masks), [Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))]
 
 
 def _finish(state: _Segmenting) -> Ending:
@@ -227,7 +228,7 @@ SEGMENT = Stage(
     until="segment",
     products=(PRODUCT,),
     # Foreground masks of every frame: computed, or taken over from masks/. Source: CF 2.2.3.
-    work=FrameWork(_reads, _start, _step, _finish),
+    work=FrameWork(_reads, _start, _step, _finish, finds=("masks",)),
     report=segment_report,
     sections=("segmentation",),
     facts=("fps", "roi_px"),

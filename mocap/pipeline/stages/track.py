@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.data import VoxelGrid
 from mocap.errors import MocapError
+from mocap.pipeline.config import TrackingConfig
 from mocap.pipeline.stage import Ending, FrameWork, Job, Row, Seen, Sources, Stage, StageReport
 from mocap.pipeline.tracking import tracker_input, tracker_settings
 from mocap.products import owners as owners_product
 from mocap.products import tracks as tracks_product
-from mocap.products.hulls import read_hulls, stored_grid
+from mocap.products.hulls import read_hulls
 from mocap.products.owners import owner_row
 from mocap.products.tracks import stored_tracks, track_row
 from mocap.rng import rng_for
@@ -22,15 +24,17 @@ from mocap.tracking import Track, TrackerSettings, TrackerState, slim, track_ste
 
 @dataclass(frozen=True, eq=False)
 class _Tracking:
-    """history : tracks of every frame so far.  owners : frames whose owners wait for the names of new tracks."""
+    """settings : None until the first hull tells the grid.  n_frames : of the clip.  history : tracks of every frame so
+    far.  owners : frames whose owners wait for the names of new tracks."""
 
-    settings: TrackerSettings
-    voxel_size_m: float | None
+    config: TrackingConfig
     seed: int
     fps: float
-    tracker: TrackerState
-    history: list[tuple[int, tuple[Track, ...]]]
-    owners: _Owners
+    n_frames: int
+    tracker: TrackerState = field(default_factory=TrackerState)
+    settings: TrackerSettings | None = None
+    history: list[tuple[int, tuple[Track, ...]]] = field(default_factory=list)
+    owners: _Owners = field(default_factory=lambda: _Owners())
 
 
 def _reads(job: Job) -> Sources:
@@ -38,37 +42,42 @@ def _reads(job: Job) -> Sources:
 
 
 def _start(job: Job) -> _Tracking:
-    grid = stored_grid(job.store)
-    config = job.config.tracking
-    size = config.voxel_size_m
+    return _Tracking(job.config.tracking, job.seed, job.session.fps, len(job.session.frames))
+
+
+def _settings(state: _Tracking, grid: VoxelGrid) -> TrackerSettings:
+    """The tracker's settings on the grid of the hulls."""
+    size = state.config.voxel_size_m
     if size is not None and size < grid.voxel_size_m - 1e-9:
         raise MocapError(
             f"configuration: tracking.voxel_size_m is {size}, finer than the volume's {grid.voxel_size_m}",
             remedy="leave tracking.voxel_size_m out, or carve finer voxels (volume.voxel_size_m)",
         )
     try:
-        settings = tracker_settings(config, grid, job.session.fps, len(job.session.frames))
+        return tracker_settings(state.config, grid, state.fps, state.n_frames)
     except ValueError as error:
         raise MocapError(f"configuration: tracking: {error}", remedy="correct the setting") from error
-    return _Tracking(settings, size, job.seed, job.session.fps, TrackerState(), [], _Owners())
 
 
-def _step(state: _Tracking, seen: Seen) -> tuple[_Tracking, Sequence[Row]]:
+def _step(state: _Tracking, seen: Seen) -> tuple[_Tracking, Seen, Sequence[Row]]:
     assert seen.hull is not None
-    shown = tracker_input(seen.frame, seen.hull, state.voxel_size_m)
-    tracker, info = track_step(
-        state.tracker, shown.voxels, state.settings, rng=rng_for(state.seed, "track", 0, seen.frame)
-    )
+    settings = state.settings or _settings(state, seen.hull.grid)
+    shown = tracker_input(seen.frame, seen.hull, state.config.voxel_size_m)
+    rng = rng_for(state.seed, "track", 0, seen.frame)
+    tracker, info = track_step(state.tracker, shown.voxels, settings, rng=rng)
     serial_of = {t.person: t.serial for t in info.tracks}
     held = {serial_of[p] + 1: rows for p, rows in info.voxels_of.items()}
+    owner = shown.owners(held)
     state.history.append((info.frame, slim(info.tracks)))
-    rows = state.owners.add(seen.frame, shown.owners(held), info.tracks)
-    return replace(state, tracker=tracker), rows
+    rows = state.owners.add(seen.frame, owner, info.tracks)
+    found = replace(seen, tracks=info.tracks, owner=owner)
+    return replace(state, tracker=tracker, settings=settings), found, rows
 
 
 def _finish(state: _Tracking) -> Ending:
     """The owners that still wait, and the table of tracks, which only the whole clip decides."""
-    tracks = tracks_from_history(state.history, state.fps, min_seen=state.settings.confirm_frames)
+    min_seen = 1 if state.settings is None else state.settings.confirm_frames
+    tracks = tracks_from_history(state.history, state.fps, min_seen=min_seen)
     rows = state.owners.rest()
     rows += [Row(tracks_product.PRODUCT, frame, track_row(tracks, frame)) for frame, _ in state.history]
     return Ending(rows)
@@ -125,7 +134,7 @@ TRACK = Stage(
     until="track",
     products=(tracks_product.PRODUCT, owners_product.PRODUCT),
     # Persons over time, and the owner of every voxel. Source: CF 4.2-4.3.
-    work=FrameWork(_reads, _start, _step, _finish),
+    work=FrameWork(_reads, _start, _step, _finish, finds=("tracks", "owner")),
     report=track_report,
     needs=("carve",),
     sections=("tracking",),

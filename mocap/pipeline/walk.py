@@ -1,0 +1,189 @@
+"""A walk over the clip: stages side by side, each some frames behind the one before, and a recorder that writes.
+
+A frame goes from hand to hand: what a stage finds in it is shown to the next one, which need not read it from the
+store. While one stage works on a frame, the next one works on the frame before.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import replace
+from typing import Any
+
+from mocap.io.store import StageWriter
+from mocap.pipeline.stage import ClipWork, Ending, FrameWork, Job, Row, Seen, Sources, Stage
+from mocap.threads import Ahead
+
+# Frames that a stage may be ahead of the next one; pictures and volumes of no more are held.
+_AHEAD_FRAMES = 2
+
+
+def walks(stages: Sequence[Stage]) -> Iterator[tuple[Stage, ...]]:
+    """The stages in order, those together that can walk together: frame by frame, and none needs the end of another."""
+    together: list[Stage] = []
+    for stage in stages:
+        is_whole = isinstance(stage.work, ClipWork)
+        if together and (is_whole or {s.name for s in together} & set(stage.needs_whole)):
+            yield tuple(together)
+            together = []
+        together.append(stage)
+        if is_whole:
+            yield tuple(together)
+            together = []
+    if together:
+        yield tuple(together)
+
+
+def run_stage(stage: Stage, job: Job) -> None:
+    """Compute the products of one stage into the store; of the configuration it is shown what its key holds."""
+    run_together([(stage, job)])
+
+
+def run_together(stages: Sequence[tuple[Stage, Job]]) -> dict[str, float]:
+    """Compute the products of stages that walk together into the store; the seconds that each has worked.
+
+    The result is that of one stage after the other.
+    """
+    shown = [(stage, replace(job, config=job.config.only(stage.sections))) for stage, job in stages]
+    (first, job), *_ = shown
+    if isinstance(first.work, ClipWork):
+        started = time.perf_counter()
+        first.work.run(job)
+        return {first.name: time.perf_counter() - started}
+    with ThreadPoolExecutor(max(1, job.n_threads)) as pool:
+        walkers = [Walker(stage, replace(own, each=pool.map)) for stage, own in shown]
+        left: Sequence[Walker] = walkers
+        while left:
+            left = _walk(left)
+    return {walker.stage.name: walker.busy_s for walker in walkers}
+
+
+class Walker:
+    """A stage that works frame by frame, with its state.  busy_s : how long it has worked."""
+
+    def __init__(self, stage: Stage, job: Job) -> None:
+        assert isinstance(stage.work, FrameWork)
+        self.stage, self.work, self.job = stage, stage.work, job
+        self.busy_s = 0.0
+        self.start()
+
+    def start(self, state: Any = None) -> None:
+        """Begin a walk, with a state or anew."""
+        started = time.perf_counter()
+        self.state = self.work.start(self.job) if state is None else state
+        self.busy_s += time.perf_counter() - started
+
+    def step(self, seen: Seen) -> tuple[Seen, Sequence[Row]]:
+        """One frame: with what was found in it, and the rows that are certain by now."""
+        started = time.perf_counter()
+        self.state, seen, rows = self.work.step(self.state, seen)
+        self.busy_s += time.perf_counter() - started
+        return seen, rows
+
+    def steps(self, frames: Iterable[Seen], recorder: Recorder) -> Iterator[Seen]:
+        """The frames in order, with what was found in them."""
+        n = len(self.job.session.frames)
+        for seen in frames:
+            found, rows = self.step(seen)
+            recorder.take(rows)
+            self.job.progress(self.stage.name, seen.index + 1, n)
+            yield found
+
+
+class Recorder:
+    """Writes the rows of one stage into its products; with a thread of its own, while the stage goes on."""
+
+    def __init__(self, writers: Mapping[str, StageWriter], thread: Executor | None = None) -> None:
+        self._writers, self._thread = writers, thread
+        self._last: Future[None] | None = None
+
+    def take(self, rows: Sequence[Row]) -> None:
+        """Write rows, behind those of before; raises what writing these has raised."""
+        self.catch_up()
+        if self._thread is None:
+            self._write(rows)
+        elif rows:
+            self._last = self._thread.submit(self._write, rows)
+
+    def catch_up(self) -> None:
+        """Wait until all is written."""
+        if self._last is not None:
+            self._last.result()
+
+    def end(self, ending: Ending) -> None:
+        """What is known when all frames have been seen."""
+        self.take(ending.rows)
+        self.catch_up()
+        for product, attrs in ending.attrs.items():
+            self._writers[product].describe(attrs)
+
+    def discard(self) -> None:
+        """Leave no products."""
+        self.catch_up()
+        for writer in self._writers.values():
+            writer.discard()
+
+    def _write(self, rows: Sequence[Row]) -> None:
+        for row in rows:
+            self._writers[row.product].append(row.frame, **row.arrays)
+
+
+def _walk(walkers: Sequence[Walker]) -> Sequence[Walker]:
+    """One walk over all frames; gives those that have to walk again, each with its new state."""
+    with ExitStack() as stack:
+        thread = stack.enter_context(ThreadPoolExecutor(1)) if walkers[0].job.n_threads > 1 else None
+        recorders = [
+            Recorder({p: stack.enter_context(walker.job.writer(p)) for p in walker.stage.products}, thread)
+            for walker in walkers
+        ]
+        with ExitStack() as streams:
+            _go(walkers, recorders, streams)
+        for k, walker in enumerate(walkers):
+            ending = walker.work.finish(walker.state)
+            if ending.again is None:
+                recorders[k].end(ending)
+                continue
+            for later, recorder in zip(walkers[k:], recorders[k:], strict=True):
+                recorder.discard()
+                later.start(ending.again if later is walker else None)
+            return walkers[k:]
+    return ()
+
+
+def _go(walkers: Sequence[Walker], recorders: Sequence[Recorder], streams: ExitStack) -> None:
+    """Every frame through the hands of all walkers, each on a thread of its own where there are several."""
+    stream: Iterator[Seen] = _frames(walkers, streams)
+    for walker, recorder in zip(walkers, recorders, strict=True):
+        stream = walker.steps(stream, recorder)
+        if walker.job.n_threads > 1 and walker is not walkers[-1]:
+            stream = streams.enter_context(Ahead(stream, _AHEAD_FRAMES))
+    for _ in stream:
+        pass
+
+
+def _frames(walkers: Sequence[Walker], streams: ExitStack) -> Iterator[Seen]:
+    """The frames of the session in order, with what is read of them; every source is opened once.
+
+    The first walker's time is that of the reading too.
+    """
+    sources: dict[str, Iterable[tuple[int, Any]]] = {}
+    found: set[str] = set()
+    for walker in walkers:
+        reads: Sources = walker.work.reads(walker.job)
+        sources.update({name: rows for name, rows in reads.items() if name not in found | sources.keys()})
+        found.update(walker.work.finds)
+    for source in sources.values():
+        if isinstance(source, AbstractContextManager):
+            streams.enter_context(source)
+    return _read(walkers[0], {name: iter(source) for name, source in sources.items()})
+
+
+def _read(first: Walker, values: Mapping[str, Iterator[tuple[int, Any]]]) -> Iterator[Seen]:
+    for i, frame in enumerate(first.job.session.frames):
+        started = time.perf_counter()
+        seen = Seen(i, frame, **{name: next(rows)[1] for name, rows in values.items()})
+        first.busy_s += time.perf_counter() - started
+        yield seen

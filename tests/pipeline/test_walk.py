@@ -1,0 +1,195 @@
+"""Stages that walk together: a frame goes from hand to hand, and products are those of one stage after the other."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from small_session import PLAIN, small_session
+
+from mocap.io.store import StageStore
+from mocap.pipeline.chains import CHAINS
+from mocap.pipeline.config import Config, load_config
+from mocap.pipeline.run import run_session
+from mocap.pipeline.stage import ClipWork, Ending, FrameWork, Job, Row, Seen, Stage, StageReport, is_done
+from mocap.pipeline.walk import run_together, walks
+from mocap.threads import Ahead
+
+FRAMES = range(3, 15)
+AGAIN = 100  # added by a second walk
+
+
+def toy(
+    name: str, *, reads: Any = None, walks: int = 1, needs_whole: tuple[str, ...] = (), log: Any = None
+) -> Stage:
+    """Doubles the number that the mask of a frame holds; its state is the walk it is in and the sum so far."""
+
+    def step(state: tuple[int, int], seen: Seen) -> tuple[tuple[int, int], Seen, Sequence[Row]]:
+        assert seen.masks is not None
+        walk, total = state
+        if log is not None:
+            log(name, seen.frame)
+        value = 2 * int(seen.masks[0][0]) + AGAIN * (walk - 1)
+        total += value
+        rows = [Row(name, seen.frame, {"x": np.array([value]), "total": np.array([total])})]
+        return (walk, total), replace(seen, masks=[np.array([value])]), rows
+
+    def finish(state: tuple[int, int]) -> Ending:
+        return (
+            Ending(again=(state[0] + 1, 0)) if state[0] < walks else Ending(attrs={name: {"walk": state[0]}})
+        )
+
+    work = FrameWork(
+        reads or (lambda job: stored(job.store, name)), lambda job: (1, 0), step, finish, ("masks",)
+    )
+    return Stage(name, "pose", (name,), work, lambda job: StageReport(), needs_whole=needs_whole)
+
+
+def clip(job: Job) -> Any:
+    return {"masks": ((f, [np.array([f])]) for f in FRAMES)}
+
+
+def stored(store: StageStore, name: str) -> Any:
+    """What the stage before `name` has stored."""
+
+    def rows() -> Iterator[tuple[int, Any]]:
+        for frame, arrays in store.reader(chr(ord(name) - 1)):
+            yield frame, [arrays["x"]]
+
+    return {"masks": rows()}
+
+
+def job(tmp_path: Path, key: str = "key", **more: Any) -> Job:
+    session: Any = SimpleNamespace(frames=FRAMES)
+    return Job(session, Config(), StageStore(tmp_path / "store.zarr"), key, **more)
+
+
+def content(store: StageStore, product: str) -> Any:
+    reader = store.reader(product)
+    return reader.attrs, {f: {k: v.tolist() for k, v in sorted(arrays.items())} for f, arrays in reader}
+
+
+@pytest.mark.parametrize("n_threads", [1, 2, 5])
+@pytest.mark.parametrize("twice", ["", "a", "b", "c", "abc"])
+def test_together_is_one_after_the_other(tmp_path: Path, n_threads: int, twice: str) -> None:
+    stages = [toy(n, reads=clip if n == "a" else None, walks=2 if n in twice else 1) for n in "abc"]
+    together, alone = job(tmp_path / "1", n_threads=n_threads), job(tmp_path / "2")
+    seconds = run_together([(stage, together) for stage in stages])
+    for stage in stages:
+        run_together([(stage, alone)])
+    assert list(seconds) == ["a", "b", "c"]
+    for name in "abc":
+        assert content(together.store, name) == content(alone.store, name)
+        assert content(together.store, name)[0] == {"walk": 2 if name in twice else 1}
+
+
+def test_what_is_found_is_not_read_from_the_store(tmp_path: Path) -> None:
+    own = job(tmp_path)
+
+    def unreadable(job: Job) -> Any:
+        def rows() -> Iterator[tuple[int, Any]]:
+            raise AssertionError("read from the store")
+            yield
+
+        return {"masks": rows()}
+
+    run_together([(toy("a", reads=clip), own), (toy("b", reads=unreadable), own)])
+    assert is_done(toy("b"), own.store, "key")
+
+
+@pytest.mark.parametrize("n_threads", [1, 3])
+def test_a_stage_that_fails_leaves_earlier_products(tmp_path: Path, n_threads: int) -> None:
+    own = job(tmp_path)
+    run_together([(toy("a", reads=clip), own), (toy("b"), own)])
+
+    def fail(name: str, frame: int) -> None:
+        if frame == FRAMES[5]:
+            raise RuntimeError("a stage that fails")
+
+    other = replace(own, key="other", n_threads=n_threads)
+    with pytest.raises(RuntimeError, match="a stage that fails"):
+        run_together([(toy("a", reads=clip), other), (toy("b", log=fail), other)])
+    assert is_done(toy("a"), own.store, "key")
+    assert is_done(toy("b"), own.store, "key")
+    assert not list(own.store.path.glob(".*.partial"))
+    assert not [t for t in threading.enumerate() if t.name == "mocap-ahead"]
+
+
+def test_no_more_than_a_few_frames_are_held(tmp_path: Path) -> None:
+    """However slow the last stage is, the first one waits for it."""
+    reached = {"a": 0, "b": 0}
+    furthest = 0
+
+    def note(name: str, frame: int) -> None:
+        nonlocal furthest
+        reached[name] = frame
+        if name == "b":
+            furthest = max(furthest, reached["a"] - frame)
+            time.sleep(0.01)
+
+    own = job(tmp_path, n_threads=2)
+    run_together([(toy("a", reads=clip, log=note), own), (toy("b", log=note), own)])
+    assert 1 <= furthest <= 4
+
+
+def test_stages_walk_together_until_one_needs_the_end_of_another() -> None:
+    a, b = toy("a"), toy("b")
+    c = toy("c", needs_whole=("b",))
+    d = Stage("d", "pose", ("d",), ClipWork(lambda job: None), lambda job: StageReport())
+    assert list(walks([a, b, c, d])) == [(a, b), (c,), (d,)]
+    assert list(walks([a, c])) == [(a, c)]
+    assert list(walks([])) == []
+    names = [[stage.name for stage in together] for together in walks(CHAINS["voxels"])]
+    assert names == [["segment", "occluders"], ["carve", "track"], ["pose"]]
+
+
+def test_a_run_equals_its_stages_one_by_one(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    session = small_session(tmp_path_factory.getbasetemp())
+    config = load_config("default", PLAIN)
+    for out, n_threads, words in (
+        ("once", 2, ("track",)),
+        ("one_by_one", 1, ("segment", "occluders", "carve", "track")),
+    ):
+        for until in words:
+            run_session(session, tmp_path / out, config=config, until=until, n_threads=n_threads, resume=True)
+    stores = [StageStore(tmp_path / out / "store.zarr") for out in ("once", "one_by_one")]
+    for stage in CHAINS["voxels"][:-1]:
+        for product in stage.products:
+            assert content(stores[0], product) == content(stores[1], product), product
+            assert stores[0].reader(product).key == stores[1].reader(product).key
+
+
+def test_ahead_gives_items_in_order_and_errors_in_their_place() -> None:
+    def items() -> Iterator[int]:
+        yield from range(5)
+        raise ValueError("at the end")
+
+    got = []
+    with Ahead(items(), 2) as ahead, pytest.raises(ValueError, match="at the end"):
+        got.extend(ahead)
+    assert got == [0, 1, 2, 3, 4]
+    with Ahead(iter(range(5)), 2) as ahead:
+        assert list(ahead) == [0, 1, 2, 3, 4]
+
+
+def test_ahead_ends_when_nobody_takes_any_more() -> None:
+    made = []
+
+    def endless() -> Iterator[int]:
+        while True:
+            made.append(len(made))
+            yield made[-1]
+
+    with Ahead(endless(), 2) as ahead:
+        assert next(ahead) == 0
+    n = len(made)
+    assert n <= 5
+    time.sleep(0.1)
+    assert len(made) == n
