@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 COMPILING = "compiling"
 """What the progress of compilation is called."""
-N_KERNELS = 136
+N_KERNELS = 122
 """Functions of this package that a run with the preset `default` compiles; `mocap warm-up` prints how many it were."""
 
 

@@ -6,10 +6,10 @@ import os
 import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import cache
 from types import TracebackType
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -34,6 +34,18 @@ def in_parallel(job: Callable[[T], R], items: Sequence[T], n_threads: int) -> li
     if n_threads <= 1 or len(items) <= 1:
         return [job(item) for item in items]
     return list(worker_threads(n_threads).map(job, items))
+
+
+class AtOnce(Executor):
+    """No thread at all: a job is done when it is submitted."""
+
+    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
+        done: Future[R] = Future()
+        try:
+            done.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            done.set_exception(error)
+        return done
 
 
 class Ahead(Generic[T]):

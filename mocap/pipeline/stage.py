@@ -34,7 +34,8 @@ class StageReport:
 class Job:
     """What a stage is given to work on.
 
-    key : of its products.  each : `map` over threads; the result does not depend on their number.
+    key : of its products.  each : `map` over threads; the result does not depend on their number.  is_endless : frames
+    come until somebody stops, and nothing is kept for their end.
     """
 
     session: Session
@@ -45,6 +46,7 @@ class Job:
     n_threads: int = 1
     progress: Progress = no_progress
     each: Callable[..., Iterable[Any]] = map
+    is_endless: bool = False
 
     def writer(self, product: str, attrs: dict[str, Any] | None = None) -> StageWriter:
         """A product of the stage, to be written; use as context manager."""
@@ -55,7 +57,8 @@ class Job:
 class Seen:
     """One frame as a step is shown it: what its work reads, and what the stages before it have found in it.
 
-    index : place in the clip.  pictures : (H, W, 3) uint8 RGB of every camera.  masks : (H, W) bool of every camera.
+    index : place in the clip.  pictures : (H, W, 3) uint8 RGB of every camera, empty of one that gives none now.
+    masks : (H, W) bool of every camera.
     tracks : those of the tracker in this frame, as they are called until now.  owner : (N,) serial + 1 of the track
     that holds each voxel of the hull, 0 = nobody.
     """

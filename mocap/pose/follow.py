@@ -93,17 +93,22 @@ def follow(
     rng_of : frame -> generator, so that a frame draws the same numbers whatever came before it.
     """
     for row, evidence in _evidence_ahead(clip, order):
-        carried = None if evidence is None else policy.carry(row, evidence)
-        if carried is None:
-            yield policy.lose_sight(row)
-            continue
-        rng = rng_of(int(clip.frames[row]))
-        candidates = policy.propose(carried, rng)
-        candidates = policy.refine(candidates)
-        candidates = policy.judge(candidates)
-        candidates = policy.search_limbs(candidates, rng)
-        candidates = policy.restart(candidates, rng)
-        yield policy.remember(candidates)
+        yield follow_frame(policy, row, evidence, rng_of(int(clip.frames[row])))
+
+
+def follow_frame(
+    policy: Policy[T_co], row: int, evidence: FrameEvidence | None, rng: np.random.Generator
+) -> T_co:
+    """A policy's result for one row.  evidence : None where too little is seen."""
+    carried = None if evidence is None else policy.carry(row, evidence)
+    if carried is None:
+        return policy.lose_sight(row)
+    candidates = policy.propose(carried, rng)
+    candidates = policy.refine(candidates)
+    candidates = policy.judge(candidates)
+    candidates = policy.search_limbs(candidates, rng)
+    candidates = policy.restart(candidates, rng)
+    return policy.remember(candidates)
 
 
 def _evidence_ahead(clip: PersonClip, order: Sequence[int]) -> Iterator[tuple[int, FrameEvidence | None]]:

@@ -169,7 +169,7 @@ def follow_person(
     poses = _followed(clip, start.first, seed=seed, progress=progress)
     if settings.repair and settings.refine:
         _repair(clip, poses)
-    series = _series_of(poses)
+    series = series_of(poses)
     states = series.states
     if settings.smooth_lag_frames:
         states = smooth_motion(tools.body, series, tools.fps, settings.smooth_lag_frames, settings.method)
@@ -248,7 +248,7 @@ def _repair(clip: VolumeClip, poses: list[FramePose]) -> None:
             )
 
 
-def _series_of(poses: Sequence[FramePose]) -> FrameSeries:
+def series_of(poses: Sequence[FramePose]) -> FrameSeries:
     return FrameSeries(
         states=np.array([pose.state for pose in poses]),
         information=np.array([pose.information for pose in poses]),

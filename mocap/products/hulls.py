@@ -7,7 +7,7 @@ the voxels around them that too few cameras can judge, `used` (C,) bool, the cam
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -80,7 +80,7 @@ def hull_from_arrays(grid: VoxelGrid, arrays: dict[str, NDArray[np.generic]]) ->
     )
 
 
-def pixels_from_arrays(arrays: dict[str, NDArray[np.generic]]) -> SilhouettePixels:
+def pixels_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> SilhouettePixels:
     """The silhouettes' pixels of one frame of the product."""
     return SilhouettePixels(
         arrays["pixel_camera"].astype(np.uint8, copy=False),

@@ -6,7 +6,7 @@ share; `shadow` (C,) shadow share, NaN for masks taken over; `usable` (C,) bool.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ def mask_row(
     return {"share": share, "shadow": shadow, "usable": usable, **packed}
 
 
-def masks_from_arrays(arrays: dict[str, NDArray[np.uint8]], session: Session) -> list[NDArray[np.bool_]]:
+def masks_from_arrays(arrays: Mapping[str, NDArray[np.uint8]], session: Session) -> list[NDArray[np.bool_]]:
     """Masks of one frame, one (H, W) bool per camera in rig order."""
     return [
         np.unpackbits(arrays[f"m{c}"], axis=1, count=camera.size[0]).view(np.bool_)

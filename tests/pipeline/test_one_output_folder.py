@@ -185,7 +185,7 @@ def mixed(session: Path, out: Path) -> None:
         pass
 
     def stop(stage: str, done: int, total: int) -> None:
-        if stage == "track":
+        if stage == "pose":
             raise Killed
 
     with pytest.raises(Killed):
@@ -209,7 +209,9 @@ def test_store_and_tables_of_different_runs_are_not_mixed(
         pytest.importorskip("rerun")
     COMMANDS[command](out, session, tmp_path)
     mixed(session, out)
-    with pytest.raises(MocapError, match="not that of the tables beside it: occluders, carve of") as caught:
+    with pytest.raises(
+        MocapError, match="not that of the tables beside it: occluders, carve, track, track-owners of"
+    ) as caught:
         COMMANDS[command](out, session, tmp_path)
     assert "--resume" in caught.value.remedy
     run_session(session, out, config=config("bvh", "report"), resume=True)

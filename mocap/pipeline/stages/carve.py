@@ -125,14 +125,25 @@ class _Carving:
 class _Walk:
     """One walk over the clip.
 
-    used : (T, C) bool, the cameras that take part.  monitor : of the first walk, which looks for bad cameras.
-    faults : what it has found.
+    monitor : of the first walk, which looks for bad cameras.  faults : what it has found.  left_out : those whose
+    cameras do not take part.
     """
 
     carving: _Carving
-    used: NDArray[np.bool_]
     monitor: ConsistencyMonitor | None
     faults: tuple[CameraFault, ...] = ()
+    left_out: tuple[CameraFault, ...] = ()
+
+    def used(self, seen: Seen) -> NDArray[np.bool_]:
+        """(C,) the cameras that take part in a frame."""
+        rig = self.carving.rig
+        (used,) = usable_cameras(self.left_out, rig.names, np.array([seen.frame]))
+        # With fewer cameras left than a hull needs, a bad one is better than none.
+        if used.sum() < min(_MIN_CAMERAS, len(rig)):
+            used[:] = True
+        if seen.pictures is not None:
+            used &= np.array([len(picture) > 0 for picture in seen.pictures])
+        return used
 
 
 def _reads(job: Job) -> Sources:
@@ -155,19 +166,12 @@ def _start(job: Job) -> _Walk:
     monitor = None
     if config.volume.on_bad_camera != "ignore":
         monitor = ConsistencyMonitor(session.rig, carving.grid, carving.occluders)
-    return _Walk(carving, _used(session, ()), monitor)
-
-
-def _used(session: Session, faults: tuple[CameraFault, ...]) -> NDArray[np.bool_]:
-    used = usable_cameras(faults, session.rig.names, np.array(session.frames))
-    # With fewer cameras left than a hull needs, a bad one is better than none.
-    used[used.sum(axis=1) < min(_MIN_CAMERAS, len(session.rig))] = True
-    return used
+    return _Walk(carving, monitor)
 
 
 def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
     assert seen.masks is not None
-    used = walk.used[seen.index]
+    used = walk.used(seen)
     hull, unknown = walk.carving.hull(seen.masks, seen.pictures, used)
     if walk.monitor is not None:
         walk.monitor.add(seen.frame, seen.masks, seen.pictures)
@@ -189,7 +193,7 @@ def _finish(walk: _Walk) -> Ending:
             config.volume.on_bad_camera == "exclude"
             and not usable_cameras(faults, rig.names, np.array(session.frames)).all()
         ):
-            return Ending(again=_Walk(walk.carving, _used(session, faults), None, faults))
+            return Ending(again=_Walk(walk.carving, None, faults, left_out=faults))
     attrs = hull_attrs(walk.carving.grid, rig.names, faulty_views(session, config), faults)
     return Ending(attrs={PRODUCT: attrs})
 

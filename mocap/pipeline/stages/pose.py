@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body.initial import HeightEstimate
 from mocap.body.model import load_body_model
-from mocap.data import Tracks, VoxelGrid
+from mocap.data import Occluders, Tracks, VoxelGrid
 from mocap.data import n_judges as judges_of
 from mocap.data.voxels import Voxels
 from mocap.io.session import Session
@@ -109,16 +111,38 @@ def estimate_poses(
 
 def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
     """frame -> the voxels of one person, with its outlines, from the products of the earlier stages."""
-    grid = stored_grid(store)
+    views = PersonViews(session, stored_grid(store), stored_occluders(store, session.rig))
     hulls, segments = store.reader(hulls_product.PRODUCT), store.reader(masks_product.PRODUCT)
     owners = store.reader(owners_product.PRODUCT)
-    views = [pinhole_view(camera) for camera in session.rig]
-    occluders = stored_occluders(store, session.rig)
 
     @lru_cache(maxsize=8)
     def hull_of(frame: int) -> PersonHull | None:
-        arrays = hulls.read(frame)
         owner = owners_at(owners, frame)
+        return views.hull(hulls.read(frame), owner, person, lambda: segments.read(frame))
+
+    return hull_of
+
+
+class PersonViews:
+    """What is seen of one person in a frame, out of the rows that the earlier stages have made of it."""
+
+    def __init__(self, session: Session, grid: VoxelGrid, occluders: Occluders) -> None:
+        self._session, self._grid, self._occluders = session, grid, occluders
+        self._views = [pinhole_view(camera) for camera in session.rig]
+
+    def hull(
+        self,
+        arrays: Mapping[str, NDArray[Any]],
+        owner: NDArray[np.unsignedinteger[Any]],
+        person: int,
+        segmented: Callable[[], Mapping[str, NDArray[Any]]],
+    ) -> PersonHull | None:
+        """The person's voxels and how its outlines and rays are made; None without a voxel.
+
+        arrays, segmented : rows of hulls and, when outlines are asked for, of masks.  owner : (N,) of the hull's
+        voxels, 0 = nobody.  person : as `owner` calls it.
+        """
+        rig, grid, occluders = self._session.rig, self._grid, self._occluders
         keep = owner == person
         if not keep.any():
             return None
@@ -130,31 +154,30 @@ def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
 
         @lru_cache(maxsize=1)
         def outlines() -> Outlines:
-            found, surface = segments.read(frame), grid.centers(voxels[is_surface])
+            found, surface = segmented(), grid.centers(voxels[is_surface])
             return person_outlines(
-                views,
-                session.rig,
-                masks_from_arrays(found, session),
+                self._views,
+                rig,
+                masks_from_arrays(found, self._session),
                 surface,
                 grid.centers(others.astype(np.int32)),
                 n_points=OutlineFitSettings().n_outline_points,
                 is_whole=found["usable"] & arrays["used"].astype(np.bool_),
-                hidden=[occluders.hidden_pixels(camera, surface) for camera in session.rig],
+                hidden=[occluders.hidden_pixels(camera, surface) for camera in rig],
             )
 
         @lru_cache(maxsize=1)
         def rays() -> PixelRays:
             surface = grid.centers(voxels[is_surface])
-            pixels = pixels_from_arrays(arrays)
-            return person_rays(session.rig, pixels, surface, grid.centers(others.astype(np.int32)))
+            return person_rays(
+                rig, pixels_from_arrays(arrays), surface, grid.centers(others.astype(np.int32))
+            )
 
-        used = [name for name, is_used in zip(session.rig.names, arrays["used"], strict=True) if is_used]
-        n_judges = partial(judges_of, session.rig.subset(used), occluders=occluders)
+        used = [name for name, is_used in zip(rig.names, arrays["used"], strict=True) if is_used]
+        n_judges = partial(judges_of, rig.subset(used), occluders=occluders)
         return PersonHull(
             voxels, is_surface, outlines, rays, unknown, None if occluders.is_empty else n_judges
         )
-
-    return hull_of
 
 
 def surface_towards_air(voxels: Voxels, unknown: Voxels, grid: VoxelGrid) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ from mocap.data import Camera
 from mocap.errors import MocapError
 from mocap.foreground import (
     Background,
+    ForegroundMask,
     ForegroundSettings,
     MaskQuality,
     Segmenter,
@@ -136,11 +137,19 @@ def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[R
         row = mask_row(seen.masks, np.full(n, np.nan, dtype=np.float32), np.ones(n, dtype=np.bool_))
         return state, seen, [Row(PRODUCT, seen.frame, row)]
     assert seen.pictures is not None
-    found = list(state.each(lambda s, image: s.segment(image), state.segmenters, seen.pictures))
+    found = list(state.each(_segmented, state.segmenters, seen.pictures))
     usable = np.array([m.is_usable for m in found])
     shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
     masks = [m.mask for m in found]
     return state, replace(seen, masks=masks), [Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))]
+
+
+def _segmented(segmenter: Segmenter, picture: NDArray[np.uint8]) -> ForegroundMask:
+    """The foreground of a camera's next picture; a camera without one sees nothing that can be used."""
+    if len(picture):
+        return segmenter.segment(picture)
+    nothing = np.zeros(segmenter.shape[:2], dtype=np.bool_)
+    return ForegroundMask(nothing, nothing, 0.0, 0.0, is_usable=False)
 
 
 def _finish(state: _Segmenting) -> Ending:

@@ -25,7 +25,7 @@ from mocap.tracking import Track, TrackerSettings, TrackerState, slim, track_ste
 @dataclass(frozen=True, eq=False)
 class _Tracking:
     """settings : None until the first hull tells the grid.  n_frames : of the clip.  history : tracks of every frame so
-    far.  owners : frames whose owners wait for the names of new tracks."""
+    far, None where nobody asks for it.  owners : frames whose owners wait for the names of new tracks."""
 
     config: TrackingConfig
     seed: int
@@ -33,7 +33,7 @@ class _Tracking:
     n_frames: int
     tracker: TrackerState = field(default_factory=TrackerState)
     settings: TrackerSettings | None = None
-    history: list[tuple[int, tuple[Track, ...]]] = field(default_factory=list)
+    history: list[tuple[int, tuple[Track, ...]]] | None = None
     owners: _Owners = field(default_factory=lambda: _Owners())
 
 
@@ -42,7 +42,10 @@ def _reads(job: Job) -> Sources:
 
 
 def _start(job: Job) -> _Tracking:
-    return _Tracking(job.config.tracking, job.seed, job.session.fps, len(job.session.frames))
+    config, session = job.config.tracking, job.session
+    return _Tracking(
+        config, job.seed, session.fps, len(session.frames), history=None if job.is_endless else []
+    )
 
 
 def _settings(state: _Tracking, grid: VoxelGrid) -> TrackerSettings:
@@ -68,7 +71,8 @@ def _step(state: _Tracking, seen: Seen) -> tuple[_Tracking, Seen, Sequence[Row]]
     serial_of = {t.person: t.serial for t in info.tracks}
     held = {serial_of[p] + 1: rows for p, rows in info.voxels_of.items()}
     owner = shown.owners(held)
-    state.history.append((info.frame, slim(info.tracks)))
+    if state.history is not None:
+        state.history.append((info.frame, slim(info.tracks)))
     rows = state.owners.add(seen.frame, owner, info.tracks)
     found = replace(seen, tracks=info.tracks, owner=owner)
     return replace(state, tracker=tracker, settings=settings), found, rows
@@ -77,9 +81,10 @@ def _step(state: _Tracking, seen: Seen) -> tuple[_Tracking, Seen, Sequence[Row]]
 def _finish(state: _Tracking) -> Ending:
     """The owners that still wait, and the table of tracks, which only the whole clip decides."""
     min_seen = 1 if state.settings is None else state.settings.confirm_frames
-    tracks = tracks_from_history(state.history, state.fps, min_seen=min_seen)
+    history = state.history or []
+    tracks = tracks_from_history(history, state.fps, min_seen=min_seen)
     rows = state.owners.rest()
-    rows += [Row(tracks_product.PRODUCT, frame, track_row(tracks, frame)) for frame, _ in state.history]
+    rows += [Row(tracks_product.PRODUCT, frame, track_row(tracks, frame)) for frame, _ in history]
     return Ending(rows)
 
 
