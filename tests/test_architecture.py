@@ -24,6 +24,8 @@ ARROWS: dict[str, frozenset[str]] = {
     "likelihood": frozenset({"data", "geometry", "body"}),
     "io": frozenset({"data", "geometry"}),
     "view": frozenset({"data", "geometry", "metrics"}),
+    # Cameras from a board.
+    "calibrate": frozenset({"data", "geometry", "io", "view"}),
     "pose": frozenset({"data", "geometry", "body", "likelihood", "filters", "metrics", "volume"}),
     "products": frozenset({"data", "io", "volume", "body", "pose"}),
     # `mocap eval`; a run is scored by it too.
@@ -33,7 +35,7 @@ ARROWS: dict[str, frozenset[str]] = {
     "polygons": frozenset({"data"}),
     # Synthetic sessions with exact truth: of the product's rooms it needs the containers and the file formats.
     "synth": frozenset({"data", "io", "polygons"}),
-    "cli": frozenset({"io", "synth", "filters", "metrics", "compare", "pipeline"}),
+    "cli": frozenset({"calibrate", "io", "synth", "filters", "metrics", "compare", "pipeline"}),
     "__main__": frozenset({"cli"}),
     "": frozenset(),  # mocap/__init__.py
 }

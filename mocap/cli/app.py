@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli import cluster, compare, run, synth, tools
+from mocap.cli import calibrate, cluster, compare, run, synth, tools
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
 from mocap.portable import Stopped, stoppable
@@ -32,7 +32,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "check": tools.check,
     "synth": synth.synth,
     "convert-calibration": tools.convert_calibration,
-    "calibrate": tools.calibrate,
+    "board": calibrate.board,
+    "calibrate": calibrate.calibrate,
     "view": tools.view,
     "report": tools.report,
     "warm-up": tools.warm_up,

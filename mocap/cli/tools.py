@@ -1,4 +1,4 @@
-"""Tools before and after a run: check, calibrate, convert-calibration, export, view and report."""
+"""Tools before and after a run: check, convert-calibration, export, view and report."""
 
 from __future__ import annotations
 
@@ -20,61 +20,6 @@ from mocap.cli.options import (
 from mocap.cli.progress import progress_bar
 from mocap.compiling import COMPILING
 from mocap.errors import MissingExtra, MocapError
-
-
-def calibrate(
-    clips: Annotated[
-        Path,
-        typer.Argument(metavar="BOARD", help="Folder with one clip of the board per camera, synchronised."),
-    ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="calibration.toml to write.")],
-    board: Annotated[str, typer.Option("--board", help="Inner corners, columns x rows, for example 9x6.")],
-    square_mm: Annotated[
-        float, typer.Option("--square-mm", min=1.0, max=1000.0, help="Side of a square, measured, mm.")
-    ],
-    floor_frame: Annotated[
-        int, typer.Option("--floor-frame", min=0, help="Frame in which the board lies flat on the floor.")
-    ],
-    frames: Annotated[int, typer.Option("--frames", min=6, help="Frames to look at, spread evenly.")] = 60,
-) -> None:
-    """Lenses and places of the cameras from a clip of a checkerboard that they all film."""
-    from mocap.io.board_calibration import board_clips, calibrate_on_board, find_board_views
-    from mocap.io.calibration import write_calibration
-
-    columns, x, rows = board.lower().partition("x")
-    if not (x and columns.strip().isdigit() and rows.strip().isdigit()):
-        raise MocapError(
-            f"cannot read the board {board!r}", remedy="write columns x rows, for example --board 9x6"
-        )
-    size = int(columns), int(rows)
-    if min(size) < 3 or max(size) > 50:
-        raise MocapError(
-            f"a board of {size[0]} x {size[1]} inner corners",
-            remedy="use one of 3 to 50; corners, not squares",
-        )
-    with progress_bar() as progress:
-        views = find_board_views(
-            board_clips(clips), size, floor_frame=floor_frame, n_frames=frames, progress=progress
-        )
-    found = calibrate_on_board(views, square_m=square_mm / 1000, floor_frame=floor_frame)
-    write_calibration(
-        out,
-        found.rig,
-        metadata={
-            "source": "mocap calibrate",
-            "board": list(size),
-            "square_mm": square_mm,
-            "rms_px": round(found.rms_px, 4),
-        },
-    )
-    for camera in found.rig:
-        typer.echo(
-            f"{camera.name}: {found.n_views_of[camera.name]} views, off by {found.rms_px_of[camera.name]:.2f} px, "
-            f"focal length {camera.K[0, 0]:.0f} px, {camera.center[2]:.2f} m above the floor"
-        )
-    for warning in found.warnings:
-        typer.echo(f"  warning: {warning}")
-    typer.echo(f"Corners are off by {found.rms_px:.2f} px (root mean square); written to {out}")
 
 
 def view(

@@ -52,7 +52,7 @@ def find_board(grey: Grey, size: tuple[int, int]) -> Array | None:
     found, corners = cv2.findChessboardCorners(grey, size, None, flags | cv2.CALIB_CB_FAST_CHECK)
     if found:
         return _refined(grey, corners.reshape(-1, 2).astype(np.float64))
-    for quadrangle in _quadrangles(grey):
+    for quadrangle in quadrangles(grey):
         for turn in (0, 1):
             corners = _find_rectified(grey, np.roll(quadrangle, turn, axis=0), size)
             if corners is not None:
@@ -231,7 +231,12 @@ def _pick(path: Path, camera: str, wanted: Sequence[int]) -> Iterator[Grey]:
 def _refined(grey: Grey, corners: Array) -> Array:
     """Corners to sub-pixels; the window stays inside the neighbouring squares."""
     steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-    half = int(np.clip(np.quantile(steps, 0.1) * 0.3, 1, 8))
+    return refined_corners(grey, corners, float(np.quantile(steps, 0.1)) * 0.3)
+
+
+def refined_corners(grey: Grey, corners: Array, reach_px: float) -> Array:
+    """Corners (N, 2) px between four squares to sub-pixels, from windows that reach so far, 8 px at the most."""
+    half = int(np.clip(reach_px, 1, 8))
     points = corners.astype(np.float32).reshape(-1, 1, 2)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
     refined = cv2.cornerSubPix(grey, points, (half, half), (-1, -1), criteria).reshape(-1, 2)
@@ -240,7 +245,7 @@ def _refined(grey: Grey, corners: Array) -> Array:
     return np.where((moved < half + 1)[:, None], refined, corners).astype(np.float64)
 
 
-def _quadrangles(grey: Grey) -> list[Array]:
+def quadrangles(grey: Grey) -> list[Array]:
     """Bright four-sided regions with dark spots inside, (4, 2) px in turning order, most spotted first."""
     found: list[tuple[float, Array]] = []
     smallest = grey.size * 5e-4

@@ -21,6 +21,7 @@ TRACK_STATUS_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "status")
 LANDMARK_COLUMNS = ("frame", "time_s", "person", "landmark", "x_m", "y_m", "z_m")
 UNCERTAINTY_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "observed")
 DETECTION_COLUMNS = ("frame", "u_px", "v_px")
+WORLD_POINT_COLUMNS = ("camera", "u_px", "v_px", "x_m", "y_m", "z_m")
 LABEL_COLUMNS = ("frame", "camera", "u_px", "v_px")
 
 # Frames of a thousand years at 30 per second: what goes beyond is no count.
@@ -211,6 +212,20 @@ def read_marker_labels_csv(path: Path | str) -> tuple[NDArray[np.int64], list[st
         cameras.append(row["camera"].strip())
         pixels.append([_number(path, line, row, c) for c in LABEL_COLUMNS[2:]])
     return np.array(frames, dtype=np.int64), cameras, np.array(pixels, dtype=np.float64).reshape(-1, 2)
+
+
+def read_world_points_csv(path: Path | str) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Read points of known place in pictures: camera -> points (N, 3) m, world, and uv (N, 2) px.
+
+    Raises MocapError as the other readers do.
+    """
+    path = Path(path)
+    found: dict[str, list[list[float]]] = {}
+    for line, row in rows_of(path, WORLD_POINT_COLUMNS):
+        numbers = [_number(path, line, row, c) for c in WORLD_POINT_COLUMNS[1:]]
+        found.setdefault(row["camera"].strip(), []).append(numbers)
+    both = {camera: np.array(rows) for camera, rows in found.items()}
+    return {camera: (rows[:, 2:].copy(), rows[:, :2].copy()) for camera, rows in both.items()}
 
 
 def write_detections_csv(path: Path | str, frame: NDArray[np.integer], uv: NDArray[np.floating]) -> None:
