@@ -16,7 +16,7 @@ from mocap.calibrate.page import coverage_figure, room_figure
 from mocap.calibrate.uncertainty import uncertainty_map
 
 PICTURE = Path(__file__).parent / "pictures" / "calibration.png"
-_WIDTH_PX = 900
+_WIDTH_PX = 720
 
 
 def main() -> None:
