@@ -1,4 +1,4 @@
-"""The two figures of a calibration's page, on simulated boards: docs/pictures/calibration.png.
+"""The two figures of a calibration's page, on simulated boards: docs/pictures/calibration.jpg.
 
 python -m docs.make_calibration_picture
 """
@@ -15,7 +15,7 @@ from mocap.calibrate import calibrate
 from mocap.calibrate.page import coverage_figure, room_figure
 from mocap.calibrate.uncertainty import uncertainty_map
 
-PICTURE = Path(__file__).parent / "pictures" / "calibration.png"
+PICTURE = Path(__file__).parent / "pictures" / "calibration.jpg"
 _WIDTH_PX = 720
 
 
@@ -29,7 +29,7 @@ def main() -> None:
         image = cv2.imdecode(np.frombuffer(figure.image, dtype=np.uint8), cv2.IMREAD_COLOR)
         h, w = image.shape[:2]
         tiles.append(cv2.resize(image, (_WIDTH_PX, h * _WIDTH_PX // w), interpolation=cv2.INTER_AREA))
-    cv2.imwrite(str(PICTURE), np.vstack(tiles), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    cv2.imwrite(str(PICTURE), np.vstack(tiles), [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
-MAX_PICTURE_BYTES, MAX_PICTURES_BYTES = 150_000, 2_500_000
+MAX_PICTURE_BYTES, MAX_PICTURES_BYTES = 150_000, 3_000_000
 
 
 def load(name: str) -> ModuleType:
