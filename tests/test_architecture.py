@@ -44,6 +44,7 @@ WALLS: dict[str, dict[str, frozenset[str]]] = {
     "likelihood": {
         "voxels": frozenset(),
         "markers": frozenset(),
+        "keypoints": frozenset({"markers"}),
         "residuals": frozenset({"voxels"}),
         "colours": frozenset(),
     }

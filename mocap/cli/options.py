@@ -50,7 +50,7 @@ ExpectedOption = Annotated[
 FilterOption = Annotated[str | None, typer.Option("--filter", help="Pose filter; see --list-filters.")]
 ObservationOption = Annotated[
     str | None,
-    typer.Option("--observation", help="voxels, markers or auto (markers when the session has detections/)."),
+    typer.Option("--observation", help="voxels, markers, keypoints or auto (by what the session has)."),
 ]
 
 

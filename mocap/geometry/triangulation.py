@@ -159,3 +159,54 @@ def _project(P: Array, points: Array) -> tuple[Array, NDArray[np.bool_]]:
     x = points @ P[:, :3].T + P[:, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         return x[:, :2] / x[:, 2:], x[:, 2] > 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Points that several views name, from the views that agree on each.
+
+    points : (K, 3) m, NaN where fewer than two views agree.  agrees : (C, K), views within the gate of the point.
+    error : (C, K) distance of every view's pixel from the point's image, in units of its gate; inf where it has none.
+    """
+
+    points: Array
+    agrees: NDArray[np.bool_]
+    error: Array
+
+
+def triangulate_agreeing(P: Array, uv: Array, gate_px: Array) -> Agreement:
+    """Points of known correspondence, each from the largest set of views that agree within their gates.
+
+    P : (C, 3, 4), world (m) to undistorted px.  uv : (C, K, 2) px, NaN = the view does not see it.  gate_px : (C, K).
+    Every pair of views proposes a point; the one with most agreement, sum of 1 - (error / gate)^2 where that is
+    positive, is triangulated from the views that agree, twice.
+    """
+    C, K = uv.shape[:2]
+    best, points = np.zeros(K), np.full((K, 3), np.nan)
+    for i in range(C):
+        for j in range(i + 1, C):
+            pair = np.broadcast_to(P[[i, j]], (K, 2, 3, 4))
+            proposed = triangulate(pair, np.stack([uv[i], uv[j]], axis=1))
+            error = _gated_error(P, uv, gate_px, proposed)
+            value = np.maximum(1.0 - error**2, 0.0).sum(axis=0)
+            both = (error[i] <= 1.0) & (error[j] <= 1.0)
+            better = both & (value > best)
+            best[better], points[better] = value[better], proposed[better]
+    error = _gated_error(P, uv, gate_px, points)
+    for _ in range(2):
+        chosen = np.where((error <= 1.0)[..., None], uv, np.nan).transpose(1, 0, 2)
+        again = triangulate(np.broadcast_to(P, (K, C, 3, 4)), chosen)
+        found = np.asarray(np.isfinite(again).all(axis=1))
+        points = np.where(found[:, None], again, points)
+        error = _gated_error(P, uv, gate_px, points)
+    agrees = error <= 1.0
+    points[agrees.sum(axis=0) < 2] = np.nan
+    return Agreement(points, agrees & np.isfinite(points).all(axis=1), error)
+
+
+def _gated_error(P: Array, uv: Array, gate_px: Array, points: Array) -> Array:
+    """Distance (C, K) of pixels uv (C, K, 2) from the images of points (K, 3), over the gate; inf where undefined."""
+    x = np.einsum("crk,nk->cnr", P[:, :, :3], points) + P[:, None, :, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.linalg.norm(x[..., :2] / x[..., 2:] - uv, axis=-1) / gate_px
+        return np.where((x[..., 2] > 1e-6) & np.isfinite(error), error, np.inf)

@@ -1,4 +1,4 @@
-"""The chains of stages that a run can take: through volumes, or through markers."""
+"""The chains of stages that a run can take: through volumes, markers, or keypoints."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from mocap.pipeline.config import Config
 from mocap.pipeline.stage import Stage
 from mocap.pipeline.stages.carve import CARVE
 from mocap.pipeline.stages.detect import DETECT, labels_path
+from mocap.pipeline.stages.keypoint_pose import KEYPOINT_POSE
+from mocap.pipeline.stages.keypoints import KEYPOINTS_STAGE
 from mocap.pipeline.stages.markers import MARKER_POSE
 from mocap.pipeline.stages.occluders import OCCLUDERS
 from mocap.pipeline.stages.pose import POSE
@@ -18,6 +20,7 @@ from mocap.pipeline.stages.track import TRACK
 CHAINS: dict[str, tuple[Stage, ...]] = {
     "voxels": (SEGMENT, OCCLUDERS, CARVE, TRACK, POSE),
     "markers": (DETECT, MARKER_POSE),
+    "keypoints": (KEYPOINTS_STAGE, KEYPOINT_POSE),
 }
 # The words that say where a run ends; the last one is after all stages.
 UNTIL = ("segment", "occluders", "carve", "track", "pose", "report")
@@ -30,22 +33,37 @@ def stages_until(kind: str, until: str) -> tuple[Stage, ...]:
 
 
 def observation_kind(session: Session, config: Config) -> str:
-    """`markers` or `voxels`: what the configuration asks for, or what the session offers.
+    """`markers`, `voxels` or `keypoints`: what the configuration asks for, or what the session offers.
 
     Raises MocapError when the session has nothing for what is asked for.
     """
-    if config.observation == "voxels" or (config.observation == "auto" and not session.detection_sources):
-        if not session.image_sources and not session.mask_sources:
-            raise MocapError(
-                "the session has marker detections alone: there is no volume to work on",
-                path=session.root,
-                remedy="use --observation markers, or add videos/, images/ or masks/",
-            )
-        return "voxels"
-    if not session.detection_sources and not labels_path(session).exists():
+    kind = config.observation if config.observation != "auto" else _offered(session)
+    has_pictures = bool(session.image_sources or session.mask_sources)
+    if kind == "voxels" and not has_pictures:
+        has = "marker detections" if session.detection_sources else "keypoints"
+        raise MocapError(
+            f"the session has {has} alone: there is no volume to work on",
+            path=session.root,
+            remedy=f"use --observation {has.split()[0].rstrip('s')}s, or add videos/, images/ or masks/",
+        )
+    if kind == "keypoints" and not session.keypoint_sources:
+        raise MocapError(
+            "the session has no keypoints",
+            path=session.root,
+            remedy="add keypoints/CAM.csv, or keypoints/CAM/ with a JSON file for every picture (docs/keypoints.md)",
+        )
+    if kind == "markers" and not session.detection_sources and not labels_path(session).exists():
         raise MocapError(
             "the session has neither marker detections nor labels to learn the markers' colour from",
             path=session.root,
             remedy=f"add detections/CAM.csv, or videos and {LABELS_FILE} (frame,camera,u_px,v_px)",
         )
-    return "markers"
+    return kind
+
+
+def _offered(session: Session) -> str:
+    """What poses are found from in a session when nobody says it."""
+    if session.detection_sources:
+        return "markers"
+    is_keypoints = bool(session.keypoint_sources) and not session.image_sources and not session.mask_sources
+    return "keypoints" if is_keypoints else "voxels"

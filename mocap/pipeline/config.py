@@ -244,8 +244,9 @@ class OutputConfig(_Section):
 class Config(_Section):
     """Everything that decides a result besides the input and the seed."""
 
-    observation: Literal["auto", "voxels", "markers"] = "auto"
-    """What poses are found from; `auto` = markers in a session that has detections/, else voxels."""
+    observation: Literal["auto", "voxels", "markers", "keypoints"] = "auto"
+    """What poses are found from; `auto` = markers in a session that has detections/, keypoints in one that has nothing
+    else, else voxels."""
     segmentation: SegmentationConfig = SegmentationConfig()
     volume: VolumeConfig = VolumeConfig()
     tracking: TrackingConfig = TrackingConfig()
@@ -265,12 +266,12 @@ class Config(_Section):
                 del shown.__dict__[name]
         return shown
 
-    def body_model(self, observation: Literal["voxels", "markers"]) -> str:
-        """Name or file of the body that poses are found with from voxels or markers."""
+    def body_model(self, observation: Literal["voxels", "markers", "keypoints"]) -> str:
+        """Name or file of the body that poses are found with from voxels, markers or keypoints."""
         if self.body.model != "auto":
             return self.body.model
         # The collar bones are held by what angles are usual, which only the refinement knows.
-        return "girdle" if observation == "voxels" and self.pose.refine else "anthropometric"
+        return "girdle" if observation != "markers" and self.pose.refine else "anthropometric"
 
 
 _PRESETS = resources.files("mocap") / "presets"

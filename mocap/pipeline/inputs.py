@@ -105,6 +105,7 @@ def input_files(session: Session) -> Iterator[tuple[str, Path]]:
         "masks": session.mask_sources,
         "roi": session.roi_sources,
         "detections": session.detection_sources,
+        "keypoints": session.keypoint_sources,
         "labels": {"labels": labels} if has_labels else {},
     }
     for kind, sources in kinds.items():

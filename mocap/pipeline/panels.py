@@ -17,6 +17,7 @@ from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products.detections import detections_at
 from mocap.products.hulls import grid_from_attrs, hull_from_arrays
+from mocap.products.keypoints import keypoints_at
 from mocap.products.masks import masks_from_arrays
 from mocap.view import FramePanel
 
@@ -57,7 +58,8 @@ def marker_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]:
     frames = np.array(session.frames, dtype=np.int64)
     for frame in chosen_frames(found, frames, settings.report_frames):
         images = images_at(found, int(frame))
-        detections = detections_at(found.store, session, int(frame))
+        read = keypoints_at if found.kind == "keypoints" else detections_at
+        detections = read(found.store, session, int(frame))
         rows = rows_at(found.poses, int(frame))
         for c in _chosen_cameras(found, settings):
             camera, image = session.rig[c], images[c]

@@ -102,6 +102,12 @@ def _motion_words(record: RunRecord) -> list[tuple[str, str]]:
 def _observation_words(record: RunRecord) -> list[tuple[str, str]]:
     """What the poses were found from."""
     detect, volume = record.numbers.get("detect"), record.numbers.get("carve", {})
+    if record.kind == "keypoints":
+        found = record.numbers["keypoints"]
+        return [
+            ("Persons of the keypoints", str(found["n_persons"])),
+            ("Keypoints of persons", f"{found['figures_per_picture']} persons per picture"),
+        ]
     if detect is not None:
         source = {"detections": "detections/", "colour": "their colour in the pictures"}[detect["source"]]
         return [
@@ -117,8 +123,7 @@ def _observation_words(record: RunRecord) -> list[tuple[str, str]]:
 def _filter_words(record: RunRecord) -> str:
     pose = record.config.pose
     text = f"{pose.filter}, {pose.n_layers} layers of {pose.n_particles} particles"
-    if pose.refine and record.kind == "markers":
-        text += ", refined on the detections"
-    elif pose.refine:
-        text += ", refined on the hull's surface"
+    what = {"markers": "the detections", "keypoints": "the keypoints"}.get(record.kind, "the hull's surface")
+    if pose.refine:
+        text += f", refined on {what}"
     return text

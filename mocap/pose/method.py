@@ -438,6 +438,39 @@ class BeamSettings(_Strict):
 
 
 @dataclass(frozen=True)
+class KeypointPoseSettings(_Strict):
+    """A pose from keypoints: how they pull, and how body and offsets are fitted to a clip.
+
+    Chosen on development sessions with `python -m eval.keypoints`.
+    """
+
+    scale: float = 3.0
+    """Error, in standard deviations, at which a view's keypoint loses three quarters of its pull (Geman-McClure)."""
+    wide_scale: float = 15.0
+    """The same for poses that may be far off."""
+    min_points: int = 5
+    """Keypoints that two views must see: fewer are no body, the pose is carried on instead."""
+    near_landmark_m: float = 0.12
+    """A keypoint this near to a landmark, at rest, shows it."""
+    worth: float = 0.1
+    """What a residual is worth as evidence: views of one keypoint err alike, and for many frames."""
+    fit_frames: int = 40
+    """Frames, spread over the clip, that segment lengths and offsets are fitted to."""
+    offset_std_m: float = 0.015
+    """How far a tool's keypoint may lie from where the table of places says."""
+    size_std: float = 0.06
+    """Standard deviation of the logarithm of a person's size."""
+    stretch_std: float = 0.03
+    """The same of every segment, beyond the size."""
+    model_std_m: float = 0.012
+    """What keypoints do not tell of a joint: their offset is known only so well."""
+    acceleration_m_s2: float = 5.0
+    """Half of the largest expected acceleration of the smoother's random walk."""
+    acceleration_rad_s2: float = 30.0
+    """The same for angles."""
+
+
+@dataclass(frozen=True)
 class Method(_Strict):
     """The numbers of the pose method, room by room."""
 
@@ -453,3 +486,4 @@ class Method(_Strict):
     marker_start: MarkerStartSettings = MarkerStartSettings()
     marker_fit: MarkerPoseSettings = MarkerPoseSettings()
     beam: BeamSettings = BeamSettings()
+    keypoints: KeypointPoseSettings = KeypointPoseSettings()

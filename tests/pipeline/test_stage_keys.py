@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from keypoint_world import keypoint_world, write_keypoint_session
 from marker_world import marker_world, write_marker_session
 from small_session import PLAIN, copy_session, small_session
 from test_architecture import ROOT, imports_of, mocap_files
@@ -38,6 +39,7 @@ NAMES = ("left", "right")
 # What a product may depend on without naming it: cameras, frames and files are in every first key as they are.
 ALWAYS_IN_THE_KEY = {
     *("rig", "frames", "image_sources", "background_sources", "mask_sources", "detection_sources"),
+    "keypoint_sources",
     *("roi_sources", "clips", "root"),
 }
 
@@ -136,7 +138,7 @@ def test_a_fact_of_the_session_is_in_the_key_of_the_pose(session: Session, fact:
 
 
 def test_the_seed_is_in_the_key_where_it_decides(session: Session) -> None:
-    for kind, expected in (("voxels", ["pose"]), ("markers", ["pose"])):
+    for kind, expected in (("voxels", ["pose"]), ("markers", ["pose"]), ("keypoints", ["pose"])):
         one, other_seed = (stage_keys(session, Config(), seed, kind) for seed in (0, 1))
         assert [name for name in one if one[name] != other_seed[name]] == expected
     drawn = load_config("default", ("tracking.tracker=particle",))
@@ -155,7 +157,7 @@ class Watched:
         return getattr(self.session, name)
 
 
-@pytest.mark.parametrize("kind", ["voxels", "markers"])
+@pytest.mark.parametrize("kind", ["voxels", "markers", "keypoints"])
 def test_stages_ask_the_session_for_nothing_that_their_keys_do_not_hold(
     kind: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -163,8 +165,10 @@ def test_stages_ask_the_session_for_nothing_that_their_keys_do_not_hold(
         root = copy_session(
             small_session(tmp_path_factory.getbasetemp()), tmp_path / "session", masks=True, n_frames=3
         )
-    else:
+    elif kind == "markers":
         root = write_marker_session(marker_world(6), tmp_path / "session")
+    else:
+        root = write_keypoint_session(keypoint_world(6), tmp_path / "session")
     config = load_config("default", (*PLAIN, "volume.voxel_size_m=0.06"))
     store = StageStore(tmp_path / "store.zarr")
     known = set(ALWAYS_IN_THE_KEY)
@@ -217,6 +221,7 @@ ROOMS = {
     "occluders": ("volume", ("tracking", "body", "filters", "view", "cli")),
     "carve": ("volume", ("tracking", "body", "filters", "view", "cli")),
     "track": ("tracking", ("body", "filters", "view", "cli")),
+    "keypoints": ("tracking", ("filters", "view", "cli")),
     "pose": ("filters", ("view", "cli", "compare", "synth")),
 }
 
@@ -303,7 +308,11 @@ def test_everything_about_a_camera_is_in_the_key(session: Session, field: str, k
 
 
 @pytest.mark.parametrize(
-    "sources", ["image_sources", "background_sources", "mask_sources", "roi_sources", "detection_sources"]
+    "sources",
+    [
+        *("image_sources", "background_sources", "mask_sources", "roi_sources"),
+        *("detection_sources", "keypoint_sources"),
+    ],
 )
 @pytest.mark.parametrize("is_folder", [False, True])
 def test_every_kind_of_file_is_in_the_key(

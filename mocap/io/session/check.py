@@ -12,6 +12,7 @@ from mocap.errors import MocapError
 from mocap.io._files import VIDEO_SUFFIXES
 from mocap.io.calibration import calibration_candidates, read_calibration
 from mocap.io.checkerboard import BoardMeasure, Views, find_boards, measure_board
+from mocap.io.keypoints import read_keypoints
 from mocap.io.session.record import Finding, Session
 from mocap.io.session.sources import sources_in
 from mocap.io.video import clip_info, list_pictures, promised_size, size_error
@@ -25,6 +26,8 @@ _STEP_M = 0.1
 _HEIGHT_M = 2.0
 _MIN_COMMON_M3 = 1.0
 _MIN_BACKGROUND_FRAMES = 5
+# A camera that shows nobody in most frames adds little, or its files are of another clip.
+_FEW_FIGURES = 0.6
 # Wrong pictures of one folder that are listed one by one.
 _SHOWN = 3
 
@@ -164,6 +167,8 @@ def clips(session: Session) -> list[Finding]:
         what.append("masks")
     if session.detection_sources:
         what.append("detections")
+    if session.keypoint_sources:
+        what.append("keypoints")
     counts = sorted({clip.n_frames for clip in session.clips.values()})
     spread = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}" if counts else "no"
     frames = session.frames
@@ -200,6 +205,38 @@ def _wrong_pictures(folder: Path, camera: str, size: tuple[int, int]) -> list[Mo
         except MocapError as error:
             wrong.append(MocapError(f"frame {frame}, {path.name}: {error.message}", remedy=error.remedy))
     return wrong
+
+
+def keypoints(session: Session) -> list[Finding]:
+    """Whether the keypoints can be read, and in how many frames every camera shows somebody."""
+    if not session.keypoint_sources:
+        return []
+    try:
+        figures = read_keypoints(session.keypoint_sources, session.rig, session.frames)
+    except MocapError as error:
+        return [Finding("error", error.message, error.camera, error.remedy)]
+    counts = np.zeros((len(session.frames), len(session.rig)), dtype=np.int64)
+    for i, frame in enumerate(session.frames):
+        np.add.at(counts[i], figures[frame].camera, 1)
+    out = [
+        Finding(
+            "ok",
+            f"keypoints of {len(session.keypoint_sources)} cameras: {counts.mean():.1f} persons per picture, at most "
+            f"{counts.max()}",
+        )
+    ]
+    for c, name in enumerate(session.rig.names):
+        share = float((counts[:, c] > 0).mean())
+        if name in session.keypoint_sources and share < _FEW_FIGURES:
+            out.append(
+                Finding(
+                    "warning",
+                    f"keypoints/ has somebody in {100 * share:.0f} % of the frames only",
+                    name,
+                    "check that the files are of this clip, at its frame rate and from its first frame on",
+                )
+            )
+    return out
 
 
 def background(session: Session) -> list[Finding]:

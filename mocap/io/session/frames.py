@@ -8,6 +8,7 @@ from pathlib import Path
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.io.calibration import CalibrationFile
+from mocap.io.keypoints import count_frames
 from mocap.io.tables import read_detections_csv
 from mocap.io.video import ClipInfo, size_error
 
@@ -46,7 +47,8 @@ def choose_frames(
 ) -> range:
     """The frames to work on: those that all clips have, or the wanted part of them.
 
-    clips : by name; without any, the detections tell.  wanted : (start, stop), None = from the first, to the last.
+    clips : by name; without any, the files of detections or keypoints tell.  wanted : (start, stop), None = from the
+    first, to the last.
     Raises MocapError for a range outside the clips, clips of different length, and a clip that was cut off.
     """
     counts = _counts(clips, detections)
@@ -115,6 +117,9 @@ def _bad_range(
 
 
 def _detected_frames(path: Path) -> int:
+    """Frames of a file of keypoints or detections, which their columns tell apart."""
+    if path.is_dir() or path.parent.name != "detections":
+        return count_frames(path)
     frame, _ = read_detections_csv(path)
     return int(frame[-1]) + 1 if len(frame) else 0
 

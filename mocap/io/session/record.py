@@ -18,7 +18,7 @@ class Session:
 
     rig : the cameras with a source, in the order of the calibration.  frames : the frames to work on.
     image_sources, mask_sources : camera name -> path; each is either empty or covers the whole rig.
-    background_sources, detection_sources : camera name -> path; may cover the rig in part.
+    background_sources, detection_sources, keypoint_sources : camera name -> path; may cover the rig in part.
     clips : camera name -> what was counted and measured of its pictures (else masks).
     room_bounds_m : (lower, upper) corners, m, world.  checkerboard : inner corners (columns, rows).
     roi_sources, roi_px : camera name -> picture that is not 0, or polygon of (u, v), where persons can be; cameras with
@@ -46,6 +46,7 @@ class Session:
     marker_colour: tuple[int, int, int] | None = None
     checkerboard: tuple[int, int] | None = None
     checkerboard_square_m: float | None = None
+    keypoint_sources: dict[str, Path] = field(default_factory=dict)
     roi_sources: dict[str, Path] = field(default_factory=dict)
     roi_px: dict[str, Polygon] = field(default_factory=dict)
 

@@ -92,9 +92,14 @@ def _cameras(o: Opening) -> list[Finding]:
 
 
 def _additions(o: Opening) -> list[Finding]:
-    """Backgrounds and detections are there for all cameras or for none."""
+    """Backgrounds, detections and keypoints are there for all cameras or for none."""
     found = []
-    for word, sources in (("background", o.sources.background), ("detections", o.sources.detections)):
+    kinds = {
+        "background": o.sources.background,
+        "detections": o.sources.detections,
+        "keypoints": o.sources.keypoints,
+    }
+    for word, sources in kinds.items():
         lacking = [n for n in o.rig.names if n not in sources]
         if 0 < len(lacking) < len(o.rig):
             found.append(Finding("warning", f"no {word}/ for camera {', '.join(lacking)}"))
@@ -125,7 +130,8 @@ def _sizes(o: Opening) -> list[Finding]:
 def _frames(o: Opening) -> list[Finding]:
     """All clips have the frames that are wanted."""
     wanted = o.wanted_frames if o.wanted_frames is not None else o.settings.frames
-    o.frames = choose_frames(o.root, o.counted, _of(o.rig, o.sources.detections), wanted)
+    found = {**_of(o.rig, o.sources.detections), **_of(o.rig, o.sources.keypoints)}
+    o.frames = choose_frames(o.root, o.counted, found, wanted)
     return []
 
 
@@ -152,6 +158,7 @@ CHECKING: tuple[Callable[[Session], list[Finding]], ...] = (
     check.geometry,
     check.clips,
     check.every_picture,
+    check.keypoints,
     check.background,
     check.calibration_quality,
 )
@@ -196,6 +203,7 @@ def open_session(
         marker_colour=o.settings.marker_colour,
         checkerboard=o.settings.checkerboard,
         checkerboard_square_m=o.settings.checkerboard_square_m,
+        keypoint_sources=_of(o.rig, o.sources.keypoints),
         roi_sources=_of(o.rig, o.sources.roi),
         roi_px=_of(o.rig, o.settings.roi_px or {}),
     )

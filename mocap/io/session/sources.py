@@ -1,4 +1,4 @@
-"""Sources of a session: which file holds the pictures, masks and detections of which calibrated camera."""
+"""Sources of a session: which file holds the pictures, masks, detections and keypoints of which calibrated camera."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from mocap.data import CameraRig
 from mocap.errors import MocapError
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
 from mocap.io.session.settings import SessionSettings, bad_key
+
+# What Pose2Sim adds to a camera's name for the folder of its keypoints.
+_POSE2SIM = "_json"
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,7 @@ class Sources:
     masks: dict[str, Path]
     background: dict[str, Path]
     detections: dict[str, Path]
+    keypoints: dict[str, Path]
     roi: dict[str, Path]
 
 
@@ -62,6 +66,14 @@ def _name_and_rank(path: Path, kinds: frozenset[str], with_folders: bool) -> tup
     return path.stem, 2 if suffix in IMAGE_SUFFIXES else 0
 
 
+def keypoint_sources_in(root: Path) -> dict[str, Path]:
+    """Keypoints by camera name: files and folders of keypoints/, or else the folders CAM_json of Pose2Sim's pose/."""
+    found = sources_in(root / "keypoints", frozenset({".csv", ".json"}))
+    if not found:
+        found = {n: p for n, p in sources_in(root / "pose", frozenset()).items() if n.endswith(_POSE2SIM)}
+    return {name.removesuffix(_POSE2SIM): path for name, path in found.items()}
+
+
 def match_sources(
     root: Path, settings: SessionSettings, rig: CameraRig, calibration: Path
 ) -> tuple[Sources, list[str]]:
@@ -75,6 +87,7 @@ def match_sources(
         "background": sources_in(root / "background", VIDEO_SUFFIXES | IMAGE_SUFFIXES),
         "masks": sources_in(root / "masks", VIDEO_SUFFIXES | IMAGE_SUFFIXES | {".npz"}),
         "detections": sources_in(root / "detections", frozenset({".csv"}), with_folders=False),
+        "keypoints": keypoint_sources_in(root),
         "roi": sources_in(root / "roi", IMAGE_SUFFIXES, with_folders=False),
     }
     camera_map = settings.camera_map or {}
@@ -85,9 +98,8 @@ def match_sources(
     both = sorted(matched["videos"].keys() & matched["images"].keys(), key=natural_key)
     warnings = [f"videos/ and images/ both have camera {listed(both)}: the videos are used"] if both else []
     pictures = {**matched["images"], **matched["videos"]}
-    return Sources(
-        pictures, matched["masks"], matched["background"], matched["detections"], matched["roi"]
-    ), warnings
+    kept = {kind: matched[kind] for kind in ("masks", "background", "detections", "keypoints", "roi")}
+    return Sources(pictures, **kept), warnings
 
 
 def _check_camera_map(
@@ -147,12 +159,12 @@ def wanted_cameras(root: Path, rig: CameraRig, cameras: tuple[str, ...] | None) 
 
 
 def cameras_with_sources(root: Path, rig: CameraRig, sources: Sources) -> CameraRig:
-    """The rig, when every camera of it has pictures or masks (or detections, where nobody has either).
+    """The rig, when every camera of it has pictures or masks (or detections or keypoints, where nobody has either).
 
     Raises MocapError when there are no pictures, fewer than two cameras have any, or one of them has none.
     """
     names = set(rig.names)
-    main = names & {*sources.pictures, *sources.masks} or names & {*sources.detections}
+    main = names & {*sources.pictures, *sources.masks} or names & {*sources.detections, *sources.keypoints}
     present = [n for n in rig.names if n in main]
     absent = [n for n in rig.names if n not in main]
     if not present:
@@ -171,7 +183,7 @@ def cameras_with_sources(root: Path, rig: CameraRig, sources: Sources) -> Camera
 
 
 def _no_pictures(root: Path, rig: CameraRig, sources: Sources) -> MocapError:
-    has_strange = bool(sources.pictures or sources.masks or sources.detections)
+    has_strange = bool(sources.pictures or sources.masks or sources.detections or sources.keypoints)
     return MocapError(
         "the session has no pictures and no masks"
         + (f" of camera {listed(rig.names)}" if has_strange else ""),

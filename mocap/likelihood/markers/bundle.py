@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,29 @@ class Bundle:
     cost: Array
 
 
+class BundleProblem(Protocol):
+    """One frame of points on a body, as a bundle needs it; a dataclass with these fields among its own."""
+
+    @property
+    def body(self) -> Body: ...
+
+    @property
+    def markers(self) -> Markers: ...
+
+    @property
+    def usual_information(self) -> Array:
+        """(D,) how firmly every angle is held at 0, rad^-2."""
+        ...
+
+    def matched_at(self, state: Array) -> Self:
+        """The same problem with what belongs to each marker near a state (D,) fixed."""
+        ...
+
+    def pulls(self, points: Array) -> tuple[float, Array, Array]:
+        """Robust cost of markers at points (M, 3) m, its matrix (M, 3, 3) and its gradient (M, 3)."""
+        ...
+
+
 def bundle_markers(
     body: Body,
     markers: Markers,
@@ -58,17 +82,26 @@ def bundle_markers(
     fit: MarkerFitSettings,
     settings: BundleSettings,
 ) -> Bundle:
+    """Fit segment lengths, marker offsets and poses together to frames of detections; see `bundle`.
+
+    observations : F frames.  states : (F, D).  Raises ValueError when there are no frames.
+    """
+    return bundle([MarkerFitProblem(body, markers, o, fit) for o in observations], states, settings)
+
+
+def bundle(problems: Sequence[BundleProblem], states: Array, settings: BundleSettings) -> Bundle:
     """Fit segment lengths, marker offsets and poses together to frames that are roughly posed.
 
-    observations : F frames.  states : (F, D).  Priors hold what the markers do not show: where a joint lies between
-    its markers, and how long a segment is whose markers move together.
+    problems : F frames, all of one body and its markers.  states : (F, D).  Priors hold what the markers do not show:
+    where a joint lies between its markers, and how long a segment is whose markers move together.
     Gauss-Newton on the robust reprojection error; the poses are eliminated frame by frame.
     Raises ValueError when there are no frames.
     """
-    if len(observations) == 0 or len(observations) != len(states):
+    if len(problems) == 0 or len(problems) != len(states):
         raise ValueError(
-            f"{len(observations)} observations and {len(states)} states, expected as many, at least 1"
+            f"{len(problems)} observations and {len(states)} states, expected as many, at least 1"
         )
+    body, markers = problems[0].body, problems[0].markers
     layout = body.layout
     D, M, F = layout.n_columns, len(markers), len(states)
     group = segment_groups(body)
@@ -93,23 +126,22 @@ def bundle_markers(
     cost = np.zeros(F)
     for _ in range(settings.n_rounds):
         fitted, placed = shaped(theta)
-        problems = [
-            MarkerFitProblem(fitted, placed, o, fit).matched_at(x[f]) for f, o in enumerate(observations)
-        ]
-        matches = [p.matches for p in problems]
+        matched = [_worn(p, fitted, placed).matched_at(x[f]) for f, p in enumerate(problems)]
         for _ in range(settings.n_iterations):
             fitted, placed = shaped(theta)
             N = np.diag(prior)
             r = prior * theta
             steps = []
-            for f, observation in enumerate(observations):
-                problem = MarkerFitProblem(fitted, placed, observation, fit, matches[f])
+            for f, own in enumerate(matched):
+                problem = _worn(own, fitted, placed)
                 points, to_state, R = point_jacobian(fitted, x[f], placed.joint, placed.offset)
                 cost[f], A, b = problem.pulls(points)
+                usual = problem.usual_information
                 to_shape = _shape_jacobian(fitted, placed, markers, theta, group, S, R)
                 Hxx = np.einsum("mri,mrs,msj->ij", to_state, A, to_state)
                 Hxs = np.einsum("mri,mrs,msj->ij", to_state, A, to_shape)
-                gx = np.einsum("mri,mr->i", to_state, b)
+                gx = np.einsum("mri,mr->i", to_state, b) + usual * x[f]
+                Hxx[np.diag_indices(D)] += usual
                 free = ~(((x[f] <= layout.lower) & (gx > 0)) | ((x[f] >= layout.upper) & (gx < 0)))
                 Hxx[~free] = 0.0
                 Hxx[:, ~free] = 0.0
@@ -127,6 +159,11 @@ def bundle_markers(
                 x[f] = np.clip(x[f] - back[:, -1] - back[:, :-1] @ d, layout.lower, layout.upper)
     fitted, placed = shaped(theta)
     return Bundle(fitted, placed, x, cost)
+
+
+def _worn(problem: BundleProblem, body: Body, markers: Markers) -> BundleProblem:
+    """The problem with another body, and its markers there."""
+    return replace(problem, body=body, markers=markers)  # type: ignore[type-var]
 
 
 def _shape_jacobian(

@@ -75,6 +75,11 @@ class MarkerFitProblem:
         return self.body.layout
 
     @property
+    def usual_information(self) -> Array:
+        """(D,) how firmly every angle is held at 0, rad^-2: not at all."""
+        return np.zeros(self.layout.n_columns)
+
+    @property
     def slack_m(self) -> Array:
         return np.hypot(self.markers.slack_m, self.settings.extra_slack_m)
 
