@@ -96,6 +96,14 @@ def landmark_covariances(
     return np.asarray(out)
 
 
+def widened(covariance: Array, rig_offset_m: float, settings: DeviationSettings) -> Array:
+    """Covariances (T, 15, 3, 3) m^2 where the cameras do not agree with each other: nobody knows which are right.
+
+    rig_offset_m : by how much their lines of sight miss each other, 0 = they agree.
+    """
+    return np.asarray(covariance + (settings.per_rig_offset * rig_offset_m) ** 2 * np.eye(3))
+
+
 def fit_information(cost: float, normal_matrix: Array, n_points: int, correlated: float) -> Array:
     """Inverse covariance (D, D) of a fitted state from its robust cost, m^2, and Gauss-Newton matrix.
 

@@ -310,6 +310,8 @@ class DeviationSettings(_Strict):
     reached 0.23 on development scenes; a hull with two persons in it has 0.5, one of three cameras 0.7."""
     astray_m: float = 0.4
     """By how much the limbs may be off there, per share beyond the usual."""
+    per_rig_offset: float = 2.0
+    """By how much any landmark may be off, per metre by which lines of sight miss each other where cameras disagree."""
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,15 @@ def stored_faults(store: StageStore) -> tuple[CameraFault, ...]:
     return tuple(CameraFault(**fault) for fault in store.reader(PRODUCT).attrs.get("camera_faults", []))
 
 
+def rig_offset_m(store: StageStore) -> float:
+    """By how much lines of sight of the cameras that were used miss each other at the people, m; 0 = they agree."""
+    reader = store.reader(PRODUCT)
+    # A camera whose calibration is wrong is left out of all frames, or of none.
+    used = reader.read(int(reader.frames[0]))["used"]
+    in_use = {"", *(name for name, is_used in zip(reader.attrs["cameras"], used, strict=True) if is_used)}
+    return max((fault.offset_m for fault in stored_faults(store) if fault.camera in in_use), default=0.0)
+
+
 def hull_from_arrays(grid: VoxelGrid, arrays: dict[str, NDArray[np.generic]]) -> Hull:
     """One frame of the product as a Hull."""
     return Hull(

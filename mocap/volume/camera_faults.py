@@ -1,4 +1,4 @@
-"""Camera faults told from silhouettes and pictures over a whole recording: moved, lagging, frozen, black.
+"""Camera faults told from silhouettes and pictures over a whole recording: moved, lagging, frozen, black, misplaced.
 
 For each camera an exact piecewise-constant fit (a shortest path over frames) chooses in every frame between "in
 time", "lags by L frames" and "does not fit at any lag". A frame costs the share of the mask that its state leaves
@@ -17,10 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.data import CameraRig, Occluders
 from mocap.volume.consistency import MAX_LAG_FRAMES, MIN_CELLS, SHRINK, SilhouetteEvidence, Snapshot
+from mocap.volume.rig_agreement import MaskSample, Misfit, rig_agreement
 
 Array = NDArray[np.float64]
-Kind = Literal["moved", "lag", "rate", "frozen", "black", "blind", "misfit", "scene"]
+Kind = Literal["moved", "lag", "rate", "frozen", "black", "blind", "misfit", "scene", "calibration", "rig"]
 
 # The fit. Prices are in units of the usual unexplained share (at least 1 % of the mask): a change of state must save
 # twelve such frames, and a lag must be better than none by a fifth of one in every frame.
@@ -59,9 +61,13 @@ class CameraFault:
 
     kind : moved; lag (lag_frames > 0: old pictures, < 0: they come early); rate (the lag grows steadily); frozen;
     black; blind (it sees nobody where the others see a person); misfit (its masks do not fit, for a reason that the
-    masks do not tell); scene (camera "": several cameras at once, so the light or the room has changed).
+    masks do not tell); scene (camera "": several cameras at once, so the light or the room has changed); calibration
+    (it stands elsewhere than its calibration says, all the time); rig (camera "": cameras disagree all the time, and
+    it cannot be told which).
     first_frame, last_frame : inclusive.  is_to_end : last_frame is the last of the recording.
     shift_px : how far the picture's background, or else its silhouettes, moved (u, v).
+    offset_m : by how much lines of sight miss at the people, of calibration and rig.  turn_deg, shift_m : the rotation,
+    or else the shift, that a camera is off by.
     """
 
     camera: str
@@ -72,6 +78,9 @@ class CameraFault:
     is_to_end: bool
     lag_frames: int = 0
     shift_px: tuple[float, float] | None = None
+    offset_m: float = 0.0
+    turn_deg: float = 0.0
+    shift_m: float = 0.0
 
     @property
     def message(self) -> str:
@@ -91,7 +100,16 @@ class CameraFault:
             "misfit": f"the masks of {who} do not fit those of the other cameras {self._when}",
             "scene": f"the masks of several cameras stop fitting together at frame {self.first_frame}: "
             "the light or the room has changed",
+            "calibration": f"{who} does not stand where its calibration says: its lines of sight miss the people by "
+            f"{100 * self.offset_m:.1f} cm, as if it were turned by {self.turn_deg:.1f} degrees or shifted by "
+            f"{100 * self.shift_m:.0f} cm{self._far}",
+            "rig": f"the cameras do not agree with each other: their lines of sight miss each other by "
+            f"{100 * self.offset_m:.1f} cm at the people, and it cannot be told whose calibration is wrong",
         }[self.kind]
+
+    @property
+    def _far(self) -> str:
+        return "" if self.shift_px is None else f" (its picture shifts by {np.hypot(*self.shift_px):.0f} px)"
 
     @property
     def _when(self) -> str:
@@ -104,11 +122,10 @@ class CameraFault:
     @property
     def _moved(self) -> str:
         who = f"camera {self.camera}"
-        far = "" if self.shift_px is None else f" (its picture shifts by {np.hypot(*self.shift_px):.0f} px)"
         if self.is_from_start:
-            return f"{who} does not stand where the calibration says{far}, {self._when}"
+            return f"{who} does not stand where the calibration says{self._far}, {self._when}"
         back = "" if self.is_to_end else f" and back at frame {self.last_frame + 1}"
-        return f"{who} moved at frame {self.first_frame}{back}{far}"
+        return f"{who} moved at frame {self.first_frame}{back}{self._far}"
 
 
 def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
@@ -133,6 +150,46 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
             unexplained[first:stop, c] = np.nan
     found += _without_common_cause(_doubted(evidence, unexplained), n_cameras)
     return tuple(sorted(found, key=lambda f: (f.first_frame, f.camera)))
+
+
+def find_misfits(
+    rig: CameraRig,
+    samples: Sequence[MaskSample],
+    faults: Sequence[CameraFault] = (),
+    occluders: Occluders | None = None,
+) -> tuple[CameraFault, ...]:
+    """Cameras that stand elsewhere than their calibration says all the time, of two at most; or that the rig disagrees.
+
+    samples : of the whole clip, in order.  faults : known of cameras, which are not looked at where they have one.
+    """
+    if len(samples) < _MIN_FRAMES:
+        return ()
+    frames = np.array([sample.frame for sample in samples])
+    is_well = np.ones((len(frames), len(rig)), dtype=np.bool_)
+    for fault in faults:
+        if fault.camera:
+            is_bad = (frames >= fault.first_frame) & (frames <= fault.last_frame)
+            is_well[is_bad, rig.names.index(fault.camera)] = False
+    samples = [
+        replace(sample, masks=[m if w else None for m, w in zip(sample.masks, well, strict=True)])
+        for sample, well in zip(samples, is_well, strict=True)
+    ]
+    found = rig_agreement(rig, samples, occluders)
+    whole = CameraFault("", "rig", int(frames[0]), int(frames[-1]), True, True, offset_m=found.offset_m)
+    if found.misfits:
+        return tuple(_miscalibrated(replace(whole, camera=name), m) for name, m in found.misfits.items())
+    return () if found.is_decided or not np.isfinite(found.offset_m) else (whole,)
+
+
+def _miscalibrated(fault: CameraFault, misfit: Misfit) -> CameraFault:
+    return replace(
+        fault,
+        kind="calibration",
+        shift_px=misfit.shift_px,
+        offset_m=misfit.offset_m,
+        turn_deg=misfit.turn_deg,
+        shift_m=misfit.shift_m,
+    )
 
 
 def _without_picture(evidence: SilhouetteEvidence, c: int) -> list[tuple[CameraFault, slice]]:

@@ -8,8 +8,9 @@ with one faulty view allowed, so that one bad camera does not spoil the evidence
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from mocap.data import CameraRig, Occluders, VoxelGrid
 from mocap.volume import _kernels
 from mocap.volume.carve import Carver, check_masks
+from mocap.volume.rig_agreement import MaskSample
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,6 +38,8 @@ _OPEN_SHARE = (
 )
 _SAMPLE_STEPS = (16, 4)  # every so many rows and columns of a picture are looked at
 _MAX_SNAPSHOTS = 96
+# Whole masks: 24 of seven cameras of 640 x 480 are 6 MB of bits, and 12 to 24 frames tell a shift of 2 cm.
+_MAX_SAMPLES = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +109,9 @@ class ConsistencyMonitor:
         self._recent: deque[_Frame] = deque(maxlen=MAX_LAG_FRAMES + 1)
         self._rows: list[_Row] = []
         self._samples: tuple[Image, ...] | None = None
-        self._snapshots: list[Snapshot] = []
-        self._snapshot_step = 1
+        self._snapshots = _Spread[Snapshot](_MAX_SNAPSHOTS)
+        self._samples_of_masks = _Spread[_Packed](_MAX_SAMPLES)
+        self._places: Array = np.zeros((0, 3))
 
     def add(self, frame: int, masks: Sequence[Mask], images: Sequence[Image] | None = None) -> None:
         """Take one frame: one mask (H, W) bool per camera and, if there are, one picture (H, W, 3) uint8."""
@@ -126,7 +131,26 @@ class ConsistencyMonitor:
         self._rows.append(row)
         self._recent.append(now)
         self._compare()
-        self._keep(frame, now, images)
+        self._snapshots.add(lambda: self._snapshot(frame, now, images))
+        if len(self._places):
+            self._samples_of_masks.add(
+                lambda: _Packed(frame, tuple(np.packbits(mask, axis=1) for mask in masks), self._places)
+            )
+
+    def mask_samples(self) -> list[MaskSample]:
+        """Whole masks of some frames with people, evenly spread."""
+        widths = [camera.size[0] for camera in self.rig]
+        return [
+            MaskSample(
+                sample.frame,
+                [
+                    np.unpackbits(mask, axis=1, count=width).view(np.bool_)
+                    for mask, width in zip(sample.masks, widths, strict=True)
+                ],
+                sample.places,
+            )
+            for sample in self._samples_of_masks.items
+        ]
 
     def evidence(self) -> SilhouetteEvidence:
         """Everything collected so far."""
@@ -148,7 +172,7 @@ class ConsistencyMonitor:
             picture_change=column("picture_change"),
             brightness=column("brightness"),
             contrast=column("contrast"),
-            snapshots=tuple(self._snapshots),
+            snapshots=tuple(self._snapshots.items),
         )
 
     def _shrunk(self, masks: Sequence[Mask]) -> Small:
@@ -183,13 +207,16 @@ class ConsistencyMonitor:
             min_views=min(_MIN_VIEWS, n),
             min_votes=min(2, n) if is_furnished else None,
         )
+        self._places = np.zeros((0, 3))
         if len(voxels) == 0:
             return canvas
+        centers = self._carver.grid.centers(voxels)
+        self._places = _corners(centers.min(axis=0), centers.max(axis=0))
         pixels = self._expected_pixels(voxels)
         is_miss = np.empty(pixels.shape, dtype=np.bool_)
         for c, mask in enumerate(masks):
             is_miss[:, c] = (pixels[:, c] >= 0) & ~mask.ravel().take(pixels[:, c], mode="clip")
-        depth = self._carver.grid.centers(voxels) @ self._axes[:, :3].T + self._axes[:, 3]
+        depth = centers @ self._axes[:, :3].T + self._axes[:, 3]
         _kernels.paint_left_out(
             pixels, is_miss, depth, self._width, self._half_at_1m, SHRINK, tolerance, canvas
         )
@@ -229,9 +256,7 @@ class ConsistencyMonitor:
                 if lag:
                     row.enter(c, MAX_LAG_FRAMES - lag, then, now)
 
-    def _keep(self, frame: int, now: _Frame, images: Sequence[Image] | None) -> None:
-        if (len(self._rows) - 1) % self._snapshot_step:
-            return
+    def _snapshot(self, frame: int, now: _Frame, images: Sequence[Image] | None) -> Snapshot:
         pictures = None
         if images is not None:
             pictures = np.zeros((len(images), *self._size), dtype=np.uint8)
@@ -239,10 +264,41 @@ class ConsistencyMonitor:
                 h, w = image.shape[0] // SHRINK, image.shape[1] // SHRINK
                 grey = cv2.extractChannel(image, 1)
                 own[:h, :w] = cv2.resize(grey, (w, h), interpolation=cv2.INTER_AREA)
-        self._snapshots.append(Snapshot(frame, now.masks, now.hulls, pictures))
-        if len(self._snapshots) >= _MAX_SNAPSHOTS:
-            self._snapshots = self._snapshots[::2]
-            self._snapshot_step *= 2
+        return Snapshot(frame, now.masks, now.hulls, pictures)
+
+
+_Item = TypeVar("_Item")
+
+
+class _Spread(Generic[_Item]):
+    """Some of the things that were offered, evenly spread over all of them: at most so many, and at least half."""
+
+    def __init__(self, most: int) -> None:
+        self.items: list[_Item] = []
+        self._most, self._step, self._n_offered = most, 1, 0
+
+    def add(self, make: Callable[[], _Item]) -> None:
+        """Offer the next thing, which is made only when it is taken."""
+        if self._n_offered % self._step == 0:
+            self.items.append(make())
+            if len(self.items) >= self._most:
+                self.items = self.items[::2]
+                self._step *= 2
+        self._n_offered += 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Packed:
+    """A `MaskSample` with the masks as bits."""
+
+    frame: int
+    masks: tuple[NDArray[np.uint8], ...]
+    places: Array
+
+
+def _corners(lower: Array, upper: Array) -> Array:
+    """The corners (8, 3) of a box."""
+    return np.array(np.meshgrid(*zip(lower, upper, strict=True))).reshape(3, -1).T
 
 
 class _Frame:

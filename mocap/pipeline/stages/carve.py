@@ -36,6 +36,7 @@ from mocap.volume import (
     choose_grid,
     colour_hull,
     find_camera_faults,
+    find_misfits,
     surface_voxels,
     usable_cameras,
 )
@@ -52,6 +53,8 @@ _REMEDIES = {
     "blind": "look at its silhouettes in the report",
     "misfit": "look at its silhouettes in the report",
     "scene": "look at the silhouettes in the report; split the recording there",
+    "calibration": "calibrate it again",
+    "rig": "calibrate all cameras again, and check that all clips show the same moments",
 }
 
 
@@ -189,6 +192,7 @@ def _finish(walk: _Walk) -> Ending:
     faults = walk.faults
     if walk.monitor is not None:
         faults = find_camera_faults(walk.monitor.evidence())
+        faults += find_misfits(rig, walk.monitor.mask_samples(), faults, walk.carving.occluders)
         if (
             config.volume.on_bad_camera == "exclude"
             and not usable_cameras(faults, rig.names, np.array(session.frames)).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -21,6 +22,7 @@ from mocap.likelihood.residuals import OutlineFitSettings, Outlines, person_outl
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
+from mocap.pose.deviation import widened
 from mocap.pose.person import VolumeClip, follow_person
 from mocap.pose.result import PersonPoses, motion_numbers
 from mocap.pose.volume import HullOf, PersonHull, VolumeObservation, estimate_height
@@ -28,7 +30,7 @@ from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
-from mocap.products.hulls import pixels_from_arrays, stored_grid
+from mocap.products.hulls import pixels_from_arrays, rig_offset_m, stored_grid
 from mocap.products.masks import masks_from_arrays
 from mocap.products.occluders import stored_occluders
 from mocap.products.owners import owners_at
@@ -67,7 +69,7 @@ def estimate_poses(
     progress: Progress,
 ) -> list[PersonPoses]:
     """Poses of every tracked person, one filter each, from the products of the earlier stages in the store."""
-    grid = stored_grid(store)
+    grid, rig_offset = stored_grid(store), rig_offset_m(store)
     sized = load_body_model(config.body_model("voxels")).height_m
     n_total = len(tracks)
     done = 0
@@ -97,15 +99,15 @@ def estimate_poses(
             n_threads,
             config.method,
         )
-        results.append(
-            follow_person(
-                VolumeClip(person, own.frame, own.xyz, VolumeObservation(tools, hull_of)),
-                height,
-                seed=seed,
-                is_size_fitted=given is None and config.body.sizing == "poses" and config.pose.refine,
-                progress=tick,
-            )
+        poses = follow_person(
+            VolumeClip(person, own.frame, own.xyz, VolumeObservation(tools, hull_of)),
+            height,
+            seed=seed,
+            is_size_fitted=given is None and config.body.sizing == "poses" and config.pose.refine,
+            progress=tick,
         )
+        covariance = widened(poses.landmark_covariance, rig_offset, config.method.deviation)
+        results.append(replace(poses, landmark_covariance=covariance))
     return results
 
 

@@ -1,0 +1,139 @@
+"""Cameras that stand elsewhere than their calibration says, told from true silhouettes of a walking person."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from eval.bench.scene import person_mask, ring
+from mocap.data import Camera, CameraRig, VoxelGrid
+from mocap.volume import CameraFault, ConsistencyMonitor, find_misfits
+from mocap.volume.rig_agreement import MaskSample, rig_agreement
+
+C, SIZE, N = 7, (320, 240), 6
+RIG = ring(C, SIZE)
+DEG = 0.1  # tolerance of a turn that is measured from 6 frames of 320 x 240
+CORNERS = np.array([[x, y, z] for x in (-0.4, 0.4) for y in (-0.4, 0.4) for z in (0.0, 1.9)])
+
+
+@cache
+def samples() -> tuple[MaskSample, ...]:
+    out = []
+    for f in range(N):
+        angle = 0.7 * f
+        place = np.array([0.8 * np.cos(angle), 0.8 * np.sin(angle)])
+        masks = [person_mask(c, place, angle + np.pi / 2) for c in RIG]
+        out.append(MaskSample(10 * f, masks, CORNERS + np.append(place, 0.0)))
+    return tuple(out)
+
+
+def misplaced(
+    camera: Camera, turn_deg: tuple[float, float, float], shift_m: tuple[float, float, float]
+) -> Camera:
+    """As a wrong calibration has it, turned in its own axes and shifted in the world."""
+    R = Rotation.from_rotvec(np.radians(turn_deg)).as_matrix().T @ camera.R
+    return replace(camera, R=R, t=-R @ (camera.center + np.array(shift_m)))
+
+
+def rig_with(faults: dict[int, tuple[tuple[float, float, float], tuple[float, float, float]]]) -> CameraRig:
+    return CameraRig(tuple(misplaced(c, *faults[i]) if i in faults else c for i, c in enumerate(RIG)))
+
+
+STILL = (0.0, 0.0, 0.0)
+
+
+def test_a_good_rig_agrees() -> None:
+    found = rig_agreement(RIG, samples())
+    assert found.is_decided
+    assert not found.misfits
+    assert found.offset_m < 0.005
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift"),
+    [
+        ((0.0, 1.0, 0.0), STILL),
+        ((0.7, -0.7, 0.0), STILL),
+        (STILL, (0.02, 0.0, 0.0)),
+        (STILL, (0.0, 0.0, 0.02)),
+    ],
+)
+def test_one_camera_is_named_with_the_size_of_its_misfit(
+    turn: tuple[float, float, float], shift: tuple[float, float, float]
+) -> None:
+    rig = rig_with({2: (turn, shift)})
+    found = rig_agreement(rig, samples())
+    assert list(found.misfits) == ["cam_2"]
+    misfit = found.misfits["cam_2"]
+    if any(turn):
+        assert misfit.turn_deg == pytest.approx(np.linalg.norm(turn), abs=DEG)
+        back = Rotation.from_matrix(misfit.turned.R @ RIG[2].R.T)
+        assert np.degrees(back.magnitude()) < DEG
+    else:
+        # Of a shift, the part along the line of sight does not show.
+        across = np.linalg.norm(RIG[2].R[:2] @ np.array(shift))
+        assert misfit.shift_m == pytest.approx(across, abs=0.006)
+
+
+def test_two_cameras_are_named() -> None:
+    rig = rig_with({1: ((0.0, 3.0, 0.0), STILL), 4: ((0.0, -3.0, 0.0), STILL)})
+    found = rig_agreement(rig, samples())
+    assert set(found.misfits) == {"cam_1", "cam_4"}
+    for misfit in found.misfits.values():
+        assert misfit.turn_deg == pytest.approx(3.0, abs=2 * DEG)
+
+
+def test_a_rig_that_disagrees_all_over_blames_nobody() -> None:
+    turns = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.2, 0.0), (-0.8, 0.8, 0.0))
+    found = rig_agreement(rig_with({i: (turn, STILL) for i, turn in enumerate(turns)}), samples())
+    assert not found.is_decided
+    assert not found.misfits
+    assert found.offset_m > 0.02
+
+
+def test_three_cameras_may_disagree_but_none_can_be_named() -> None:
+    rig = rig_with({2: ((0.0, 3.0, 0.0), STILL)}).subset(("cam_0", "cam_2", "cam_4"))
+    few = [replace(s, masks=[s.masks[c] for c in (0, 2, 4)]) for s in samples()]
+    found = rig_agreement(rig, few)
+    assert not found.misfits
+
+
+def test_without_masks_nothing_is_said() -> None:
+    nobody = [replace(s, masks=[np.zeros_like(m) for m in s.masks]) for s in samples()]
+    found = rig_agreement(RIG, nobody)
+    assert not found.misfits
+    assert np.isnan(found.offset_m)
+    assert find_misfits(RIG, nobody) == ()
+    assert find_misfits(RIG, samples()[:3]) == ()
+
+
+def test_a_misfit_is_a_fault_in_words() -> None:
+    rig = rig_with({2: ((0.0, 1.0, 0.0), STILL)})
+    (fault,) = find_misfits(rig, samples())
+    assert (fault.camera, fault.kind, fault.is_from_start, fault.is_to_end) == (
+        "cam_2",
+        "calibration",
+        True,
+        True,
+    )
+    assert "turned by 1.0 degrees" in fault.message
+    # A camera that is known to be black is not asked.
+    black = CameraFault("cam_2", "black", 0, 10 * N, True, True)
+    assert find_misfits(rig, samples(), [black]) == ()
+
+
+def test_the_monitor_keeps_few_whole_masks_and_where_the_people_are() -> None:
+    monitor = ConsistencyMonitor(RIG, VoxelGrid(np.array([-1.6, -1.6, 0.0]), (64, 64, 40), 0.05))
+    masks = samples()[0].masks
+    for frame in range(60):
+        monitor.add(frame, masks)
+    kept = monitor.mask_samples()
+    assert 12 <= len(kept) <= 24
+    assert len(set(np.diff([s.frame for s in kept]))) == 1
+    np.testing.assert_array_equal(kept[0].masks[3], masks[3])
+    true = samples()[0].places
+    assert np.abs(kept[0].places.min(axis=0) - true.min(axis=0)).max() < 0.5
