@@ -1,11 +1,12 @@
-"""What occluders are worth in furnished rooms: hulls and poses with occluders learnt and ignored, one table.
+"""What occluders are worth in furnished rooms: the same walks with and without furniture, occluders learnt and ignored.
 
     python -m eval.occlusion                       # development scenes
-    python -m eval.occlusion --test                # the scenes kept for the final judgement
+    python -m eval.occlusion --test --seeds 5      # the scenes kept for the final judgement
     python -m eval.occlusion SESSION [SESSION ...] # sessions with truth/
 
-Synthesises what is not in --work yet (two minutes a scene) and runs each session twice for every seed. Writes
-eval/results/occlusion_{development,test}.csv. Thresholds were set on realistic sessions of another make.
+Every scene is synthesised twice, as it is and without its furniture (two minutes each; what is in --work already is
+kept). Occluders are learnt in both, and ignored once, with the first seed, in the furnished one. Writes
+eval/results/occlusion_{development,test}.csv and prints means over the seeds. Only the pose depends on the seed.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from eval.whole import write_csv
+from mocap.compare.match import matched_pairs
 from mocap.data import LANDMARKS
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv
@@ -27,30 +29,58 @@ from mocap.pipeline.run import run_session
 from mocap.products.hulls import read_hulls
 
 RESULTS = Path(__file__).with_name("results")
-DEVELOPMENT, TEST = ("furnished", "walk_counter", "sit", "walk"), ("furnished_test", "sit_test", "walk_test")
+DEVELOPMENT, TEST = ("furnished", "furnished_pair"), ("furnished_test", "furnished_pair_test")
 LEGS = ("left_knee", "right_knee", "left_ankle", "right_ankle")
 FIELDS = ("mean_error_mm", "mean_error_after_offset_mm", "mmta_percent", "coverage_90_percent")
 Row = dict[str, str | float | int | None]
 
 
-def evaluate(session: Path, work: Path, how: str, seed: int) -> Row:
-    """One run of a session, judged.  how : `learn` or `ignore`, as of volume.occluders."""
-    out = work / "runs" / f"{session.name}_{how}_{seed}"
+def evaluate(session: Path, work: Path, how: str, seed: int, furniture: str = "") -> Row:
+    """One run of a session, judged.  how : `learn` or `ignore`, as of volume.occluders.  furniture : yes, no, or not
+    known.
+    """
+    out = work / "runs" / f"{session.name}_{how}"
     config = load_config("default", ("output.formats=[]", f"volume.occluders={how}"))
-    run_session(session, out, config=config, seed=seed)
+    run_session(session, out, config=config, seed=seed, resume=True)
     record = json.loads((out / "run.json").read_text(encoding="utf-8"))
     scores = record["scores"]
     share = record["numbers"].get("occluders", {}).get("picture_share", {})
+    n_hidden, n_claimed = hidden_landmarks(session, out)
     return {
         "session": session.name,
+        "furniture": furniture,
         "occluders": how,
         "seed": seed,
         "largest_picture_share": max(share.values(), default=0.0),
         "legs_in_hull_percent": round(100.0 * legs_in_hull(session, out), 1),
         "hull_iou": None if scores["volume_iou"] is None else round(scores["volume_iou"], 3),
         **{name: round(scores[name], 1) for name in FIELDS},
+        "silent_errors": scores["silent_errors"],
+        "hidden_everywhere": n_hidden,
+        "hidden_but_observed": n_claimed,
         "camera_faults": record["numbers"]["carve"]["camera_faults"],
     }
+
+
+def hidden_landmarks(session: Path, out: Path) -> tuple[int | None, int | None]:
+    """How many true landmarks furniture, others or the picture's border hide from all cameras, and how many of them the
+    run calls observed; None where the truth does not say who sees what.
+    """
+    files = sorted((session / "truth" / "views").glob("*.npz"))
+    if not files:
+        return None, None
+    from mocap.synth.markers import Sight
+
+    seen = (Sight.VISIBLE, Sight.OWN_BODY)
+    is_hidden = np.all([~np.isin(np.load(file)["landmark_state"], seen) for file in files], axis=0)
+    persons = np.load(files[0])["persons"].tolist()
+    found = read_landmarks_csv(out / "landmarks.csv")
+    n_hidden, n_claimed = 0, 0
+    for pair in matched_pairs(found, read_landmarks_csv(session / "truth" / "landmarks.csv")):
+        own = is_hidden[pair.frames, persons.index(pair.person)]
+        n_hidden += int(own.sum())
+        n_claimed += int((own & pair.observed & np.isfinite(pair.estimate[..., 0])).sum())
+    return n_hidden, n_claimed
 
 
 def legs_in_hull(session: Path, out: Path) -> float:
@@ -67,18 +97,37 @@ def legs_in_hull(session: Path, out: Path) -> float:
     return float(np.mean(inside)) if inside else float("nan")
 
 
-def prepared(name: str, work: Path) -> Path:
+def prepared(name: str, work: Path, *, with_furniture: bool) -> Path:
     """The session of a scene, synthesised when it is not there yet."""
-    root = work / name
+    root = work / (name if with_furniture else f"{name}_bare")
     if not (root / "truth" / "truth.json").exists():
-        from mocap.synth import synthesise
+        from mocap.synth import load_scene, synthesise
 
-        synthesise(name, root)
+        scene = load_scene(name)
+        room = scene.room if with_furniture else scene.room.model_copy(update={"furniture": ()})
+        synthesise(scene.model_copy(update={"room": room}), root)
     return root
 
 
+def means(rows: Sequence[Row]) -> list[str]:
+    """One line for each session and way, with means over seeds."""
+    groups: dict[tuple[object, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["session"], row["occluders"]), []).append(row)
+    names = [*FIELDS, "silent_errors"]
+    return [
+        f"{session} {how}: "
+        + ", ".join(f"{n} {np.mean([float(row[n] or 0.0) for row in own]):.1f}" for n in names)
+        for (session, how), own in groups.items()
+    ]
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m eval.occlusion", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m eval.occlusion",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("sessions", nargs="*", type=Path, help="session folders; the scenes when absent")
     parser.add_argument(
         "--work", type=Path, default=Path("out/occlusion"), help="folder for sessions and runs"
@@ -87,15 +136,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--name", help="of the table; development or test when absent")
     options = parser.parse_args(argv)
-    scenes = TEST if options.test else DEVELOPMENT
-    sessions = options.sessions or [prepared(name, options.work) for name in scenes]
+    rooms = [(session, "") for session in options.sessions]
+    for name in () if rooms else TEST if options.test else DEVELOPMENT:
+        rooms += [
+            (prepared(name, options.work, with_furniture=yes), "yes" if yes else "no")
+            for yes in (True, False)
+        ]
     rows: list[Row] = []
-    for session in sessions:
-        for how in ("ignore", "learn"):
-            rows += [evaluate(session, options.work, how, seed) for seed in range(options.seeds)]
+    for session, furniture in rooms:
+        runs = [("ignore", 0)] * (furniture != "no") + [("learn", seed) for seed in range(options.seeds)]
+        for how, seed in runs:
+            rows.append(evaluate(session, options.work, how, seed, furniture))
             print(", ".join(f"{k} {v}" for k, v in rows[-1].items()), flush=True)
     path = RESULTS / f"occlusion_{options.name or ('test' if options.test else 'development')}.csv"
     write_csv(path, list(rows[0]), rows)
+    print("\n".join(means(rows)))
     return 0
 
 

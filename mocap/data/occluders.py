@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,10 +79,6 @@ class Occluders:
         rows = np.minimum(np.arange(height) // self.cell_px, cells.shape[0] - 1)
         columns = np.minimum(np.arange(width) // self.cell_px, cells.shape[1] - 1)
         return cells[np.ix_(rows, columns)]
-
-    def on_cells(self) -> Occluders:
-        """The same for cameras whose pixels are the cells."""
-        return replace(self, cell_px=1)
 
 
 def n_judges(rig: CameraRig, points_world: Array, occluders: Occluders | None) -> NDArray[np.int64]:

@@ -5,8 +5,6 @@ A cell is one pixel of a picture reduced to a quarter; cells of a picture are nu
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
@@ -15,25 +13,60 @@ _MOST_VOTES = 65535
 
 
 @njit(cache=True, nogil=True)
-def paint_nearest(uv, depth, half, canvas):
+def paint_nearest(cell, depth, half, is_painted, canvas):
     """Smallest depth in every cell, over squares of 2 half + 1 cells around points.
 
-    uv : (N, 2) cells.  depth, half : (N,) m and cells.  canvas : (h, w) float32, lowered in place. Points with
-    NaN or no depth before the camera are skipped.
+    cell : (N,) int32 of each point, -1 outside the picture.  depth : (N,) m.  half : (N,) int32 cells.  is_painted :
+    (N,) bool, which points.  canvas : (h, w) float32, lowered in place.
     """
     height, width = canvas.shape
-    for i in range(uv.shape[0]):
-        d = depth[i]
-        if not d > 0.0 or not math.isfinite(uv[i, 0] + uv[i, 1]):
+    for i in range(cell.shape[0]):
+        if not is_painted[i] or cell[i] < 0:
             continue
-        u0 = max(math.ceil(uv[i, 0] - half[i] - 0.5), 0)
-        u1 = min(math.floor(uv[i, 0] + half[i] + 0.5), width - 1)
-        v0 = max(math.ceil(uv[i, 1] - half[i] - 0.5), 0)
-        v1 = min(math.floor(uv[i, 1] + half[i] + 0.5), height - 1)
-        for v in range(v0, v1 + 1):
-            for u in range(u0, u1 + 1):
-                if d < canvas[v, u]:
-                    canvas[v, u] = d
+        v, u = cell[i] // width, cell[i] % width
+        for b in range(max(v - half[i], 0), min(v + half[i] + 1, height)):
+            for a in range(max(u - half[i], 0), min(u + half[i] + 1, width)):
+                if depth[i] < canvas[b, a]:
+                    canvas[b, a] = depth[i]
+
+
+@njit(cache=True, nogil=True)
+def needed_voxels(cell, half, sees, n_objecting, n_needing, width, first, left, is_needed):
+    """Which voxels must be somebody's, because nothing that fewer cameras object to explains the foreground.
+
+    Voxels to which nobody objects are. What they leave of the foreground must be explained by those to which one camera
+    objects, where `n_needing` cameras show foreground that is left; and so on.
+    cell, half : (C, N) int32, cell of each voxel, and cells to either side of it that it explains.  sees : (C, N) bool,
+    whether foreground is there.  n_objecting : (N,) int.  width : (C,) cells of a row.  first : (C + 1,) first
+    cell of each camera in `left`.  left : (cells of all cameras,) bool, the foreground; what is explained is taken out
+    in place.  is_needed : (N,) bool out.
+    """
+    n_cameras, n = cell.shape
+    for level in range(n_cameras + 1):
+        n_more = 0
+        for i in range(n):
+            if n_objecting[i] < level:
+                continue
+            n_more += 1
+            if n_objecting[i] > level:
+                continue
+            n_left = 0
+            for c in range(n_cameras):
+                if sees[c, i] and left[first[c] + cell[c, i]]:
+                    n_left += 1
+            is_needed[i] = level == 0 or n_left >= n_needing
+        for c in range(n_cameras):
+            w = width[c]
+            height = (first[c + 1] - first[c]) // w
+            for i in range(n):
+                if n_objecting[i] != level or not is_needed[i] or not sees[c, i]:
+                    continue
+                v, u, r = cell[c, i] // w, cell[c, i] % w, half[c, i]
+                for b in range(max(v - r, 0), min(v + r + 1, height)):
+                    for a in range(max(u - r, 0), min(u + r + 1, w)):
+                        left[first[c] + b * w + a] = False
+        if n_more == 0:
+            return
 
 
 @njit(cache=True, nogil=True)

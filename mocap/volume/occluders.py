@@ -11,7 +11,7 @@ probabilities.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -35,18 +35,15 @@ CELL_PX = 4  # picture pixels per cell of the maps; an edge is known no better t
 VOXEL_M = 0.05
 MIN_CAMERAS = 4  # with three, a camera that is hidden leaves two, and two cones cross in many places
 _MOST_ENTRIES = 8_000_000  # voxels times cameras of the grid of votes: 64 MB of tables
-_N_LOOKS = 2
-# Fewer votes than 5 know more of what is hidden for a moment, and of what is not there; 6 miss a third of a column.
-_MIN_BLOCKED = 5
-# A thing is large, or smaller with voxels that are sure. In rooms without furniture frayed silhouettes leave 1.1 litres
-# and 8 votes at most (two realistic walks of 98 and 120 frames); a table and a cabinet 130 and 240 litres, up to 28.
+# Twice the most that rooms without furniture give to any voxel (decision 34).
+_MIN_BLOCKED = 4
+# A thing is large, or smaller with voxels that are sure: a table and a cabinet have 100 and 250 litres, up to 30 votes.
 _LARGE_LITRES = 8.0
-_SURE_BLOCKED = 12
+_SURE_BLOCKED = 8
 _MIN_LITRES = 2.0
 _FREE_PER_BLOCKED = 9  # at least nine votes of ten: silhouettes have frayed edges
-_STEP_M = (
-    0.05  # how far a person must have gone to give evidence again: a hole in a mask goes with the person
-)
+# How far a person must have gone to give evidence again: a hole in a mask goes with the person.
+_STEP_M = 0.05
 _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
 _MIN_NEEDING = 3  # cameras whose foreground nothing surer explains; the rays of two cross in many places
@@ -57,29 +54,23 @@ _ASTRAY_SHARE = 0.3
 class OccluderLearner:
     """Collects votes frame by frame: `add` frames in any order and number, `occluders` whenever they are wanted.
 
-    grid : where persons may be.  known : occluders that are known already; they make the hulls whole that vote, so a
-    second look at a clip with the occluders of the first finds what the first had no hull for.
+    grid : where persons may be.
     Memory is constant: votes and tables of one grid. Not thread-safe.
     Raises ValueError for fewer than MIN_CAMERAS cameras.
     """
 
-    def __init__(self, rig: CameraRig, grid: VoxelGrid, known: Occluders | None = None) -> None:
+    def __init__(self, rig: CameraRig, grid: VoxelGrid) -> None:
         if len(rig) < MIN_CAMERAS:
             raise ValueError(f"occluders can be told from at least {MIN_CAMERAS} cameras, got {len(rig)}")
         self._rig = CameraRig(tuple(_reduced(camera) for camera in rig))
         side = max(VOXEL_M, grid.voxel_size_m)
-        known = None if known is None or known.is_empty else known
-        self._n_faulty = max(1, (len(rig) - 1) // 2) if known is None else 1
-        self._carver = Carver(
-            self._rig,
-            VoxelGrid.from_bounds(grid.origin, grid.upper, side),
-            occluders=None if known is None else known.on_cells(),
-        )
+        self._n_faulty = max(1, len(rig) // 2)
+        self._carver = Carver(self._rig, VoxelGrid.from_bounds(grid.origin, grid.upper, side))
         self._space = _space_of(rig, grid, side)
         self._tables = [_rays_of(camera, self._space) for camera in self._rig]
         self.n_free = np.zeros(self._space.n_voxels, dtype=np.uint16)
         self.n_blocked = np.zeros(self._space.n_voxels, dtype=np.uint16)
-        self._places = np.zeros((0, 3))
+        self._places = np.zeros((0, 12))
         # The farthest and the second farthest depth at which each cell has shown a person; one may be a mistake.
         self._seen_m = [np.full((2, *camera.size[::-1]), -np.inf, dtype=np.float32) for camera in self._rig]
 
@@ -88,20 +79,28 @@ class OccluderLearner:
 
         cells : the masks as of `masks_by_cells`, (h, w) uint8 per camera.
         """
-        hull, core, objects = self._persons([c == FULL for c in cells])
-        if len(core) == 0:
+        masks = [own == FULL for own in cells]
+        grid, n = self._carver.grid, len(self._rig)
+        voxels = self._carver.carve(
+            masks, n_faulty_views=self._n_faulty, min_views=min(4, n), min_votes=min(MIN_VOTES, n)
+        )
+        is_core = self._core_of_new(voxels)
+        if not is_core.any():
             return False
-        side = self._carver.grid.voxel_size_m
-        for c, (camera, own, table, seen) in enumerate(
-            zip(self._rig, cells, self._tables, self._seen_m, strict=True)
-        ):
-            silhouette = np.isfinite(_nearest_depth(camera, hull, side))
-            if np.count_nonzero((own == FULL) & ~silhouette) > _ASTRAY_SHARE * np.count_nonzero(own == FULL):
+        squares = _squares(self._rig, grid.centers(voxels), grid.voxel_size_m)
+        sees = np.array([own.ravel()[cell] for own, cell in zip(masks, squares.cell, strict=True)])
+        sees &= squares.cell >= 0
+        objects = (squares.cell >= 0) & ~sees
+        is_sure = is_core & self._is_needed(masks, squares, sees, objects.sum(axis=0))
+        everything = np.ones(len(voxels), dtype=np.bool_)
+        for c, (own, table, seen) in enumerate(zip(cells, self._tables, self._seen_m, strict=True)):
+            is_covered = np.isfinite(squares.nearest(c, everything))
+            if np.count_nonzero(masks[c] & ~is_covered) > _ASTRAY_SHARE * np.count_nonzero(masks[c]):
                 continue  # it sees somebody, elsewhere: it has moved, lags, or others see too little
-            near = _nearest_depth(camera, core, side)
-            missed = _nearest_depth(camera, core[objects[:, c]], side)
+            near = squares.nearest(c, is_sure)
+            missed = squares.nearest(c, is_sure & objects[c])
             verdict = np.full(own.shape, kernels.NO_VOTE, dtype=np.uint8)
-            verdict[np.isfinite(near) & (own == FULL)] = kernels.FREE
+            verdict[np.isfinite(near) & masks[c]] = kernels.FREE
             shown = np.where(verdict == kernels.FREE, near, np.float32(-np.inf))
             seen[1] = np.maximum(seen[1], np.minimum(seen[0], shown))
             seen[0] = np.maximum(seen[0], shown)
@@ -114,68 +113,54 @@ class OccluderLearner:
 
     def occluders(self) -> Occluders:
         """The maps of all cameras from the votes so far, without cells that have shown somebody behind them."""
-        side = self._space.voxel_size_m
-        points = self._space.centers(solid_voxels(self._space, self.n_free, self.n_blocked))
+        solid = solid_voxels(self._space, self.n_free, self.n_blocked)
+        squares = _squares(self._rig, self._space.centers(solid), self._space.voxel_size_m)
         maps = {}
-        for camera, seen in zip(self._rig, self._seen_m, strict=True):
-            depth = _nearest_depth(camera, points, side)
+        for c, (camera, seen) in enumerate(zip(self._rig, self._seen_m, strict=True)):
+            depth = squares.nearest(c, np.ones(len(solid), dtype=np.bool_))
             depth[depth < seen[1]] = np.inf
             maps[camera.name] = depth
         return Occluders(maps, CELL_PX)
 
-    def _persons(self, masks: Sequence[Mask]) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Voxels (N, 3) m of a generous hull; inner ones (K, 3) m that are surely somebody's, of those who stand where
-        none has given evidence; and which cameras (K, C) see nothing but background there.
-        """
-        grid, n = self._carver.grid, len(self._rig)
-        voxels = self._carver.carve(
-            masks, n_faulty_views=self._n_faulty, min_views=min(4, n), min_votes=min(MIN_VOTES, n)
-        )
-        hull = grid.centers(voxels)
-        pixels = self._carver.pixels(voxels)
-        sees = np.column_stack([mask.ravel()[p] for mask, p in zip(masks, pixels.T, strict=True)])
-        sees &= pixels >= 0
-        objects = (pixels >= 0) & ~sees
-        is_sure = self._is_needed(masks, hull, pixels, sees, objects.sum(axis=1))
+    def _core_of_new(self, voxels: Voxels) -> NDArray[np.bool_]:
+        """Which voxels (N,) of a generous hull lie inside somebody who stands where none has given evidence."""
+        grid = self._carver.grid
         labels, n_found = connected_components(voxels, grid)
         litres = np.bincount(labels, minlength=n_found) * grid.voxel_size_m**3 * 1000.0
-        is_core = is_sure & ~surface_voxels(voxels, grid)
-        rows = [np.zeros(0, dtype=np.int64)]
+        is_inner = ~surface_voxels(voxels, grid)
+        is_core = np.zeros(len(voxels), dtype=np.bool_)
         for k in np.flatnonzero(litres >= _PERSON_LITRES):
-            own = np.flatnonzero(is_core & (labels == k))
-            if len(own) and self._is_new(hull[own].mean(axis=0)):
-                rows.append(own)
-        core = np.concatenate(rows)
-        return hull, hull[core], objects[core]
+            own = is_inner & (labels == k)
+            if own.any() and self._is_new(grid.centers(voxels[own])):
+                is_core |= own
+        return is_core
 
     def _is_needed(
         self,
         masks: Sequence[Mask],
-        hull: Array,
-        pixels: NDArray[np.int32],
+        squares: _Squares,
         sees: NDArray[np.bool_],
         n_objecting: NDArray[np.int64],
     ) -> NDArray[np.bool_]:
-        """Which voxels (N,) must be somebody's, because nothing that fewer cameras object to explains the foreground.
-
-        Voxels to which nobody objects are. What they leave over in the masks must be explained by others, those to
-        which one camera objects first, and so on. A phantom, where rays to two persons cross, is not needed.
-        """
-        side = self._carver.grid.voxel_size_m
-        is_needed = n_objecting == 0
-        newly = is_needed
-        left = [mask.copy() for mask in masks]
-        for level in range(1, int(n_objecting.max(initial=0)) + 1):
-            for c, camera in enumerate(self._rig):
-                shape = np.isfinite(_nearest_depth(camera, hull[newly & sees[:, c]], side)).view(np.uint8)
-                left[c] &= cv2.dilate(shape, np.ones((3, 3), np.uint8)) == 0
-            needing = np.column_stack([own.ravel()[p] for own, p in zip(left, pixels.T, strict=True)]) & sees
-            newly = (n_objecting == level) & (needing.sum(axis=1) >= _MIN_NEEDING)
-            is_needed = is_needed | newly
+        """Which voxels (N,) of a generous hull must be somebody's: a phantom, where rays of two cross, need not."""
+        is_needed = np.zeros(len(n_objecting), dtype=np.bool_)
+        kernels.needed_voxels(
+            squares.cell, squares.half + 1, sees, n_objecting, _MIN_NEEDING,
+            np.array([camera.size[0] for camera in self._rig]),
+            np.cumsum([0, *(own.size for own in masks)]),
+            np.concatenate([own.ravel() for own in masks]), is_needed,
+        )  # fmt: skip
         return is_needed
 
-    def _is_new(self, place: Array) -> bool:
-        """Whether nobody has given evidence near a place (3,) m; from now on somebody has."""
+    def _is_new(self, points: Array) -> bool:
+        """Whether nobody has given evidence near where points (N, 3) m are; from now on somebody has.
+
+        Near is told by the mean and the square root of the covariance: where two persons in one piece of hull walk
+        round each other, the mean stays.
+        """
+        middle = points.mean(axis=0)
+        variances, axes = np.linalg.eigh((points - middle).T @ (points - middle) / len(points))
+        place = np.concatenate([middle, ((axes * np.sqrt(np.maximum(variances, 0.0))) @ axes.T).ravel()])
         if len(self._places) and np.linalg.norm(self._places - place, axis=1).min() < _STEP_M:
             return False
         self._places = np.vstack([self._places, place])
@@ -188,22 +173,16 @@ def no_occluders() -> Occluders:
 
 
 def learn_occluders(rig: CameraRig, grid: VoxelGrid, masks_of_frames: Iterable[Sequence[Mask]]) -> Occluders:
-    """Occluders of a recording: one look at its frames as they are, and a second with what the first has found.
+    """Occluders of a recording.
 
     masks_of_frames : per frame one (H, W) bool per camera, in rig order. Fewer than MIN_CAMERAS cameras tell nothing.
     """
-    found = no_occluders()
     if len(rig) < MIN_CAMERAS:
-        return found
-    frames = [masks_by_cells(masks) for masks in masks_of_frames]
-    for _ in range(_N_LOOKS):
-        learner = OccluderLearner(rig, grid, found)
-        for cells in frames:
-            learner.add(cells)
-        found = learner.occluders()
-        if found.is_empty:
-            break
-    return found
+        return no_occluders()
+    learner = OccluderLearner(rig, grid)
+    for masks in masks_of_frames:
+        learner.add(masks_by_cells(masks))
+    return learner.occluders()
 
 
 def solid_voxels(space: VoxelGrid, n_free: Votes, n_blocked: Votes) -> Voxels:
@@ -260,12 +239,30 @@ def _rays_of(
     return first, rows, depth
 
 
-def _nearest_depth(camera: Camera, points: Array, side: float) -> DepthMap:
-    """Depth (h, w) m of the nearest of cubes of one side around points (N, 3) m; inf where there is none."""
-    width, height = camera.size
-    near = np.full((height, width), np.inf, dtype=np.float32)
-    if len(points):
-        uv, depth = camera.project(points)
-        half = 0.5 * side * max(camera.K[0, 0], camera.K[1, 1]) / np.maximum(depth, side)
-        kernels.paint_nearest(uv, depth, half, near)
-    return near
+@dataclass(frozen=True, eq=False)
+class _Squares:
+    """Cubes as the cameras see them: squares of cells.
+
+    cell : (C, N) int32, of the middle, -1 outside the picture.  half : (C, N) int32, half the side less half a cell.
+    depth : (C, N) float32 m.  sizes : of the pictures, cells.
+    """
+
+    cell: NDArray[np.int32]
+    half: NDArray[np.int32]
+    depth: NDArray[np.float32]
+    sizes: tuple[tuple[int, int], ...]
+
+    def nearest(self, c: int, is_painted: NDArray[np.bool_]) -> DepthMap:
+        """Depth (h, w) m of the nearest of some cubes (N,) bool in camera c; inf where there is none."""
+        near = np.full(self.sizes[c][::-1], np.inf, dtype=np.float32)
+        kernels.paint_nearest(self.cell[c], self.depth[c], self.half[c], is_painted, near)
+        return near
+
+
+def _squares(rig: CameraRig, points: Array, side: float) -> _Squares:
+    """Cubes of one side, m, around points (N, 3) m."""
+    cell = np.array([pixels_of_points(camera, points) for camera in rig])
+    depth = np.array([points @ camera.R[2] + camera.t[2] for camera in rig])
+    focal = np.array([max(camera.K[0, 0], camera.K[1, 1]) for camera in rig])
+    half = np.floor(0.5 * side * focal[:, None] / np.maximum(depth, side) + 0.5).astype(np.int32)
+    return _Squares(cell, half, depth.astype(np.float32), tuple(camera.size for camera in rig))

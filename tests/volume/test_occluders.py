@@ -301,9 +301,9 @@ def test_votes_that_decide():
     n_blocked = np.zeros(space.n_voxels, dtype=np.uint16)
     n_free = np.zeros_like(n_blocked)
     thing = space.linear(np.array([[x, y, 1] for x in range(4) for y in range(5)]))
-    n_blocked[thing] = 5
+    n_blocked[thing] = 4
     assert len(solid_voxels(space, n_free, n_blocked)) == 0  # nowhere sure
-    n_blocked[thing[5]] = 12
+    n_blocked[thing[5]] = 8
     np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing))
     n_free[thing[0]] = 1
     np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing[1:]))
@@ -314,23 +314,59 @@ def test_votes_that_decide():
 # ------------------------------------------------------------------------------------ kernels and their twins
 
 
+def cells_of_squares(cell: int, half: int, width: int, height: int) -> np.ndarray:
+    """Which cells (height * width,) bool a square covers, by the definition."""
+    v, u = np.mgrid[:height, :width]
+    return ((np.abs(v - cell // width) <= half) & (np.abs(u - cell % width) <= half)).ravel()
+
+
 def test_paint_nearest_is_the_smallest_depth_over_squares():
     rng = np.random.default_rng(4)
-    uv, depth = rng.uniform(-5, 45, (70, 2)), rng.uniform(-0.5, 4.0, 70)
-    half = rng.uniform(0.0, 4.0, 70)
-    uv[7] = np.nan
-    got = np.full((24, 32), np.inf, dtype=np.float32)
-    kernels.paint_nearest(uv, depth, half, got)
-    expected = np.full((24, 32), np.inf, dtype=np.float32)
-    v, u = np.mgrid[:24, :32]
-    for (a, b), d, r in zip(uv, depth, half, strict=True):
-        if d > 0 and np.isfinite(a):
-            near = (np.abs(u - a) <= r + 0.5) & (np.abs(v - b) <= r + 0.5)
-            expected[near] = np.minimum(expected[near], np.float32(d))
-    np.testing.assert_array_equal(got, expected)
-    again = np.full_like(got, np.inf)
-    kernels.paint_nearest.py_func(uv, depth, half, again)
-    np.testing.assert_array_equal(again, got)
+    cell = rng.integers(-1, 24 * 32, 70).astype(np.int32)
+    depth, half = rng.uniform(0.5, 4.0, 70).astype(np.float32), rng.integers(0, 4, 70).astype(np.int32)
+    is_painted = rng.random(70) < 0.8
+    expected = np.full(24 * 32, np.inf, dtype=np.float32)
+    for k, d, r in zip(cell[is_painted], depth[is_painted], half[is_painted], strict=True):
+        if k >= 0:
+            own = cells_of_squares(k, r, 32, 24)
+            expected[own] = np.minimum(expected[own], d)
+    for run in (kernels.paint_nearest, kernels.paint_nearest.py_func):
+        got = np.full((24, 32), np.inf, dtype=np.float32)
+        run(cell, depth, half, is_painted, got)
+        np.testing.assert_array_equal(got.ravel(), expected)
+
+
+def needed_by_definition(cell, half, sees, n_objecting, n_needing, sizes, masks) -> np.ndarray:
+    is_needed = np.zeros(cell.shape[1], dtype=np.bool_)
+    left = [mask.copy() for mask in masks]
+    for level in range(len(cell) + 1):
+        own = n_objecting == level
+        n_left = np.sum([s & m[k] for s, m, k in zip(sees, left, cell, strict=True)], axis=0)
+        newly = own & ((n_left >= n_needing) | (level == 0))
+        is_needed |= newly
+        for c, (width, height) in enumerate(sizes):
+            for i in np.flatnonzero(newly & sees[c]):
+                left[c][cells_of_squares(cell[c, i], half[c, i], width, height)] = False
+    return is_needed
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_needed_voxels_are_those_that_nothing_surer_explains(seed):
+    rng, sizes, n = np.random.default_rng(seed), [(22, 19), (21, 18), (23, 17), (19, 20), (20, 21)], 300
+    masks = [rng.random(w * h) < 0.7 for w, h in sizes]
+    cell = np.array([rng.integers(-1, w * h, n) for w, h in sizes], dtype=np.int32)
+    half = rng.integers(0, 2, cell.shape).astype(np.int32)
+    sees = np.array([(k >= 0) & m[k] for k, m in zip(cell, masks, strict=True)])
+    n_objecting = ((cell >= 0) & ~sees).sum(axis=0)
+    n_objecting[n_objecting == 0] = rng.integers(0, 2, np.count_nonzero(n_objecting == 0))
+    expected = needed_by_definition(cell, half, sees, n_objecting, 2, sizes, masks)
+    assert 0 < expected[n_objecting > 1].mean() < 1
+    first = np.cumsum([0, *(w * h for w, h in sizes)])
+    for run in (kernels.needed_voxels, kernels.needed_voxels.py_func):
+        is_needed = np.zeros(n, dtype=np.bool_)
+        width = np.array([w for w, _ in sizes])
+        run(cell, half, sees, n_objecting, 2, width, first, np.concatenate(masks), is_needed)
+        np.testing.assert_array_equal(is_needed, expected)
 
 
 def test_sort_by_cell_groups_points_in_their_order():

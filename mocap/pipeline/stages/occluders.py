@@ -25,16 +25,11 @@ _MOST_LOOKS = 600  # frames of a clip that are looked at; a clip of an hour cost
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """One look at the clip.
-
-    learner : None where nothing can be learnt.  stride : every so many frames are looked at.  is_first : the second
-    look knows what the first has found.
-    """
+    """Learning.  learner : None where nothing can be learnt.  stride : every so many frames are looked at."""
 
     job: Job
     learner: OccluderLearner | None
     stride: int
-    is_first: bool = True
 
 
 def _reads(job: Job) -> Sources:
@@ -58,13 +53,8 @@ def _step(look: _Look, seen: Seen) -> tuple[_Look, Seen, Sequence[Row]]:
 
 
 def _finish(look: _Look) -> Ending:
-    """Another look with what the first has found: where legs were hidden from half of the cameras it had no hull."""
-    rig, found = look.job.session.rig, no_occluders()
-    if look.learner is not None:
-        found = look.learner.occluders()
-        if look.is_first and not found.is_empty:
-            learner = OccluderLearner(rig, grid_of(look.job.session, look.job.config), found)
-            return Ending(again=_Look(look.job, learner, look.stride, is_first=False))
+    rig = look.job.session.rig
+    found = no_occluders() if look.learner is None else look.learner.occluders()
     return Ending(
         rows=[Row(PRODUCT, c, arrays) for c, arrays in occluder_rows(found, rig)],
         attrs={PRODUCT: occluder_attrs(found)},
