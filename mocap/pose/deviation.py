@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,10 @@ class FrameSeries:
 
     def __len__(self) -> int:
         return len(self.states)
+
+    def rows(self, rows: slice) -> FrameSeries:
+        """Some of the frames."""
+        return FrameSeries(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
 def astray_variance(series: FrameSeries, settings: DeviationSettings) -> Array:

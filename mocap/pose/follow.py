@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -134,6 +135,13 @@ def _evidence_ahead(clip: PersonClip, order: Sequence[int]) -> Iterator[tuple[in
 def both_ways(n_rows: int, start: int) -> tuple[tuple[str, range], tuple[str, range]]:
     """The rows from a start to the end and from it to the beginning, each with what its generators are called by."""
     return ("", range(start, n_rows)), ("-backwards", range(start, -1, -1))
+
+
+def unbroken(frames: NDArray[np.int64]) -> list[slice]:
+    """The rows of frames (T,), ascending, in pieces without a missing frame: nothing is known of what moves between two."""
+    cuts = np.flatnonzero(np.diff(frames) > 1) + 1
+    ends = [0, *cuts.tolist(), len(frames)]
+    return [slice(a, b) for a, b in pairwise(ends)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate
 from mocap.pose.deviation import FrameSeries, landmark_covariances
 from mocap.pose.evidence import PersonClip
-from mocap.pose.follow import FramePose, both_ways, follow_pose
+from mocap.pose.follow import FramePose, both_ways, follow_pose, unbroken
 from mocap.pose.repair import repair_limbs
 from mocap.pose.result import PersonPoses, warnings_of_volumes
 from mocap.pose.size import fit_size
@@ -172,7 +172,9 @@ def follow_person(
     series = series_of(poses)
     states = series.states
     if settings.smooth_lag_frames:
-        states = smooth_motion(tools.body, series, tools.fps, settings.smooth_lag_frames, settings.method)
+        lag, method = settings.smooth_lag_frames, settings.method
+        pieces = [series.rows(piece) for piece in unbroken(clip.frames)]
+        states = np.concatenate([smooth_motion(tools.body, p, tools.fps, lag, method) for p in pieces])
     observed = np.array([pose.observed for pose in poses])
     log_likelihood = np.array([pose.log_likelihood for pose in poses])
     numbers = settings.method.start
@@ -224,7 +226,7 @@ def _followed(
 
 
 def _repair(clip: VolumeClip, poses: list[FramePose]) -> None:
-    """Carry limbs over jumps, in place, with the colours that are known now."""
+    """Carry limbs over jumps between frames that follow each other, in place, with the colours that are known now."""
     tools = clip.observation.tools
 
     def evidence_of(row: int) -> VolumeEvidence | None:
@@ -232,7 +234,14 @@ def _repair(clip: VolumeClip, poses: list[FramePose]) -> None:
         return None if prepared is None else clip.observation.evidence(prepared)
 
     states = np.array([pose.state for pose in poses])
-    repaired = repair_limbs(tools.body, states, tools.fps, evidence_of, tools.settings.method.repair)
+    numbers = tools.settings.method.repair
+    repaired: dict[int, Array] = {}
+    for piece in unbroken(clip.frames):
+        first = piece.start
+        found = repair_limbs(
+            tools.body, states[piece], tools.fps, lambda row, first=first: evidence_of(first + row), numbers
+        )
+        repaired |= {first + row: state for row, state in found.items()}
     for row, state in repaired.items():
         evidence = evidence_of(row)
         if evidence is not None:
