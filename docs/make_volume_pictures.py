@@ -1,6 +1,6 @@
 """Make the pictures of docs/volumes.md from synthetic sessions.
 
-for s in demo fault_moved fault_lag; do mocap synth --scene $s -o out/camera_faults/$s; done
+for s in demo fault_moved fault_lag furnished; do mocap synth --scene $s -o out/camera_faults/$s; done
 python -m docs.make_volume_pictures
 """
 
@@ -19,13 +19,22 @@ from numpy.typing import NDArray
 from eval.camera_faults import watch
 from mocap.data import VoxelGrid
 from mocap.io.session import open_session
+from mocap.io.tables import read_landmarks_csv
 from mocap.io.video import FrameReader
-from mocap.volume import Carver, SilhouetteEvidence, choose_grid, colour_hull, surface_voxels
+from mocap.volume import (
+    Carver,
+    SilhouetteEvidence,
+    choose_grid,
+    colour_hull,
+    learn_occluders,
+    surface_voxels,
+)
 from mocap.volume.consistency import MAX_LAG_FRAMES
 
 PICTURES = Path(__file__).with_name("pictures")
 MAX_BYTES = 150_000
 FRAME = 38
+HIDDEN_FRAME, HIDING_CAMERAS = 88, (0, 2)  # of `furnished`
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#999999")
 
 
@@ -151,6 +160,54 @@ def visibility(root: Path) -> NDArray[np.uint8]:
     return contact_sheet(tiles, labels, n_columns=4, width=820)
 
 
+def furniture(root: Path) -> bytes:
+    """What is learnt in two cameras, and the hull of one frame without and with it."""
+    import matplotlib.pyplot as plt
+
+    session = open_session(root)
+    assert session.truth_dir is not None
+    rig, every = session.rig, []
+    for camera in rig:
+        with np.load(session.truth_dir / "masks" / f"{camera.name}.npz", allow_pickle=False) as archive:
+            every.append(np.unpackbits(archive["masks"], axis=2, count=camera.size[0]).view(np.bool_))
+    frames = [list(masks) for masks in zip(*every, strict=True)]
+    grid = choose_grid(rig, 0.025, bounds_m=session.room_bounds_m)
+    occluders = learn_occluders(rig, grid, frames)
+    with FrameReader(session.image_sources, rig, range(HIDDEN_FRAME, HIDDEN_FRAME + 1)) as reader:
+        images = next(iter(reader))[1]
+    true = read_landmarks_csv(session.truth_dir / "landmarks.csv")[0].landmarks[HIDDEN_FRAME]
+    figure, axes = plt.subplots(1, 4, figsize=(11, 3.1), constrained_layout=True, width_ratios=[4, 4, 2, 2])
+    for ax, c in zip(axes[:2], HIDING_CAMERAS, strict=True):
+        grey = cv2.resize(cv2.cvtColor(images[c], cv2.COLOR_RGB2GRAY), None, fx=0.5, fy=0.5)
+        ax.imshow(grey, cmap="gray", extent=(0, rig[c].size[0], rig[c].size[1], 0), vmax=255)
+        depth = occluders.of(rig[c])
+        assert depth is not None
+        shown = np.where(np.isfinite(depth), depth, np.nan)
+        picture = ax.imshow(
+            shown,
+            cmap="plasma",
+            alpha=0.55,
+            extent=(0, rig[c].size[0], rig[c].size[1], 0),
+            vmin=1.0,
+            vmax=5.0,
+        )
+        ax.set_title(f"{rig[c].name}: depth of what is learnt, m", fontsize=9)
+        ax.axis("off")
+    figure.colorbar(picture, ax=axes[1])
+    for ax, known, word in zip(axes[2:], (None, occluders), ("ignored", "learnt"), strict=True):
+        hull = Carver(rig, grid, occluders=known).carve(frames[HIDDEN_FRAME], n_faulty_views=0)
+        at = grid.centers(hull)
+        ax.scatter(at[:, 1], at[:, 2], s=1.5, color=COLOURS[5])
+        ax.scatter(true[:, 1], true[:, 2], s=10, color=COLOURS[3], label="true landmarks")
+        middle = true[:, 1].mean()
+        ax.set(xlim=(middle - 0.5, middle + 0.5), ylim=(0.0, 2.0), aspect="equal")
+        ax.set_title(f"hull, {word}", fontsize=9)
+        ax.set_xlabel("y, m")
+    axes[2].set_ylabel("z, m")
+    axes[2].legend(fontsize=7, loc="upper left")
+    return _png(figure)
+
+
 def _png(figure: Any) -> bytes:
     import matplotlib.pyplot as plt
 
@@ -181,6 +238,7 @@ def main() -> int:
         watch(open_session(work / name), "images").evidence() for name in ("fault_moved", "fault_lag")
     ]
     _write("volumes_consistency.png", consistency(*evidence))
+    _write("volumes_furniture.png", furniture(work / "furnished"))
     growth = Path(__file__).resolve().parents[1] / "eval" / "results" / "volume_growth.png"
     _write("volume_growth.png", growth.read_bytes())
     return 0

@@ -138,7 +138,7 @@ def both_ways(n_rows: int, start: int) -> tuple[tuple[str, range], tuple[str, ra
 
 
 def unbroken(frames: NDArray[np.int64]) -> list[slice]:
-    """The rows of frames (T,), ascending, in pieces without a missing frame: nothing is known of what moves between two."""
+    """The rows of frames (T,), ascending, in pieces without a missing frame: what moves between two is not known."""
     cuts = np.flatnonzero(np.diff(frames) > 1) + 1
     ends = [0, *cuts.tolist(), len(frames)]
     return [slice(a, b) for a, b in pairwise(ends)]

@@ -20,7 +20,7 @@ from mocap.pose.deviation import (
     landmark_kind,
     limb_misfit,
 )
-from mocap.pose.follow import point_estimate
+from mocap.pose.follow import point_estimate, unbroken
 from mocap.pose.method import UNCERTAINTY, DeviationSettings, Method
 from mocap.pose.smooth import smooth_motion
 
@@ -99,6 +99,19 @@ def test_a_pose_that_was_carried_on_is_bridged() -> None:
     smooth = smooth_motion(BODY, series_of(held, blind_std=blind), FPS, 10, Method())
     gap = slice(8, 13)
     assert error_m(smooth, truth)[gap].mean() < 0.5 * error_m(held, truth)[gap].mean()
+
+
+def test_frames_in_which_nobody_was_tracked_are_not_bridged() -> None:
+    truth = marching(BODY, T, FPS)
+    truth[:, 0] += 1.2 / FPS * np.arange(T)
+    truth[11:, 0] += 1.2  # a second later
+    frames = np.array([*range(11), *range(41, 41 + T - 11)])
+    assert unbroken(frames) == [slice(0, 11), slice(11, T)]
+    assert unbroken(frames[:11]) == [slice(0, 11)]
+    series = series_of(truth)
+    pieces = [smooth_motion(BODY, series.rows(p), FPS, 8, Method()) for p in unbroken(frames)]
+    assert error_m(np.concatenate(pieces), truth).max() < 0.01
+    assert error_m(smooth_motion(BODY, series, FPS, 8, Method()), truth).max() > 0.1
 
 
 def test_uncertainty_is_the_fits_and_the_bodys_and_the_limbs() -> None:

@@ -42,6 +42,8 @@ from mocap.volume import (
 )
 
 _EMPTY_SHARE = 0.1
+_GAP_S = 0.5  # a shorter one is bridged by the track
+_MOST_GAPS = 3  # that are named one by one
 _MIN_CAMERAS = 3
 _AROUND_M = 0.3  # how far from a hull the unknown is of interest
 _REMEDIES = {
@@ -215,6 +217,7 @@ def carve_report(job: Job) -> StageReport:
         )
     elif empty > _EMPTY_SHARE:
         warnings.append(f"the volume is empty in {empty:.0%} of the frames")
+    warnings += _gap_warnings(reader.frames, sizes == 0, job.session.fps)
     faults = stored_faults(job.store)
     warnings += _fault_warnings(faults, reader)
     litres = sizes * grid.voxel_size_m**3 * 1000.0
@@ -227,6 +230,21 @@ def carve_report(job: Job) -> StageReport:
             "camera_faults": len(faults),
         },
     )
+
+
+def _gap_warnings(frames: NDArray[np.int64], is_empty: NDArray[np.bool_], fps: float) -> list[str]:
+    """Where nobody is in the volume for a while between frames in which somebody is."""
+    edges = np.flatnonzero(np.diff(is_empty.astype(np.int8)))
+    starts = edges[is_empty[edges + 1]] + 1 if len(edges) else edges
+    gaps = [(a, b) for a in starts for b in edges[edges >= a][:1] if (b - a + 1) >= _GAP_S * fps]
+    if not gaps:
+        return []
+    shown = [f"{frames[a]} to {frames[b]} ({(b - a + 1) / fps:.1f} s)" for a, b in gaps[:_MOST_GAPS]]
+    more = f" and {len(gaps) - len(shown)} more" if len(gaps) > len(shown) else ""
+    return [
+        f"nobody is in the volume in frames {', '.join(shown)}{more}, but before and after. Remedy: when people had "
+        "not left, look at the silhouettes of these frames in the report: too many cameras were covered at once"
+    ]
 
 
 def _fault_warnings(faults: Sequence[CameraFault], reader: StageReader) -> list[str]:
