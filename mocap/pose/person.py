@@ -13,7 +13,7 @@ from mocap.body.initial import HeightEstimate
 from mocap.pose.deviation import FrameSeries, landmark_covariances
 from mocap.pose.evidence import PersonClip
 from mocap.pose.follow import FramePose, both_ways, follow_pose, unbroken
-from mocap.pose.repair import repair_limbs
+from mocap.pose.repair import EvidenceOf, repair_limbs
 from mocap.pose.result import PersonPoses, warnings_of_volumes
 from mocap.pose.size import fit_size
 from mocap.pose.smooth import smooth_motion
@@ -225,6 +225,10 @@ def _followed(
     return [found[row] for row in range(len(clip))]
 
 
+def _shifted(evidence_of: Callable[[int], VolumeEvidence | None], by: int) -> EvidenceOf:
+    return lambda row: evidence_of(by + row)
+
+
 def _repair(clip: VolumeClip, poses: list[FramePose]) -> None:
     """Carry limbs over jumps between frames that follow each other, in place, with the colours that are known now."""
     tools = clip.observation.tools
@@ -237,11 +241,10 @@ def _repair(clip: VolumeClip, poses: list[FramePose]) -> None:
     numbers = tools.settings.method.repair
     repaired: dict[int, Array] = {}
     for piece in unbroken(clip.frames):
-        first = piece.start
         found = repair_limbs(
-            tools.body, states[piece], tools.fps, lambda row, first=first: evidence_of(first + row), numbers
+            tools.body, states[piece], tools.fps, _shifted(evidence_of, piece.start), numbers
         )
-        repaired |= {first + row: state for row, state in found.items()}
+        repaired |= {piece.start + row: state for row, state in found.items()}
     for row, state in repaired.items():
         evidence = evidence_of(row)
         if evidence is not None:
