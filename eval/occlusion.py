@@ -5,14 +5,15 @@
     python -m eval.occlusion SESSION [SESSION ...] # sessions with truth/
 
 Every scene is synthesised twice, as it is and without its furniture (two minutes each; what is in --work already is
-kept). Occluders are learnt in both, and ignored once, with the first seed, in the furnished one. Writes
-eval/results/occlusion_{development,test}.csv and prints means over the seeds. Only the pose depends on the seed.
+kept, and so is what is left of an interrupted call). Occluders are learnt in both, and ignored once, with the first
+seed, in the furnished one. Writes eval/results/occlusion_{development,test}.csv and prints means over the seeds.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,7 +40,9 @@ def evaluate(session: Path, work: Path, how: str, seed: int, furniture: str = ""
     """One run of a session, judged.  how : `learn` or `ignore`, as of volume.occluders.  furniture : yes, no, or not
     known.
     """
-    out = work / "runs" / f"{session.name}_{how}"
+    first, out = (work / "runs" / f"{session.name}_{how}_{n}" for n in (0, seed))
+    if not out.exists() and first.exists():
+        shutil.copytree(first, out)  # what does not depend on the seed
     config = load_config("default", ("output.formats=[]", f"volume.occluders={how}"))
     run_session(session, out, config=config, seed=seed, resume=True)
     record = json.loads((out / "run.json").read_text(encoding="utf-8"))
