@@ -136,11 +136,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--work", type=Path, default=Path("out/occlusion"), help="folder for sessions and runs"
     )
     parser.add_argument("--test", action="store_true", help="the scenes kept for the final judgement")
+    parser.add_argument("--scenes", help="some of them, separated by commas")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--name", help="of the table; development or test when absent")
     options = parser.parse_args(argv)
     rooms = [(session, "") for session in options.sessions]
-    for name in () if rooms else TEST if options.test else DEVELOPMENT:
+    scenes = options.scenes.split(",") if options.scenes else TEST if options.test else DEVELOPMENT
+    for name in () if rooms else scenes:
         rooms += [
             (prepared(name, options.work, with_furniture=yes), "yes" if yes else "no")
             for yes in (True, False)
