@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import signal
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -79,6 +82,40 @@ def total_memory_bytes() -> int | None:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (OSError, ValueError):
         return None
+
+
+def kernel_cache_dir() -> Path | None:
+    """Where compiled kernels are kept from run to run; None where no folder for them may be written."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    package = Path(__file__).resolve().parent
+    # In this order numba looks for a place: what is named, beside the source, the user's.
+    for place in (Path(named),) if named else (package, _user_cache_dir()):
+        if _may_be_written(place):
+            return place
+    return None
+
+
+def find_kernel_cache() -> None:
+    """Let kernels be compiled where nothing may be kept, into a private folder that goes with this process."""
+    if kernel_cache_dir() is None:
+        place = tempfile.mkdtemp(prefix="mocap-kernels-")
+        os.environ["NUMBA_CACHE_DIR"] = place
+        atexit.register(shutil.rmtree, place, ignore_errors=True)
+
+
+def _user_cache_dir() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", str(Path.home())))
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")))
+
+
+def _may_be_written(folder: Path) -> bool:
+    """Whether a folder, or the nearest above it that is there, may be written."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
 
 
 def is_running(pid: int) -> bool:

@@ -11,7 +11,7 @@ import typer
 from mocap.cli import calibrate, cluster, compare, run, synth, tools
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
-from mocap.portable import Stopped, stoppable
+from mocap.portable import Stopped, find_kernel_cache, stoppable
 
 app = typer.Typer(
     name="mocap",
@@ -37,6 +37,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "view": tools.view,
     "report": tools.report,
     "warm-up": tools.warm_up,
+    "doctor": tools.doctor,
+    "bundle": tools.bundle,
     "batch": cluster.batch,
     "sweep": cluster.sweep,
 }
@@ -70,6 +72,7 @@ def _program(
 
 def main() -> None:
     """Entry point: user mistakes become one message and exit code 2, without a traceback."""
+    find_kernel_cache()
     try:
         with stoppable():
             app(standalone_mode=True)

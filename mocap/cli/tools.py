@@ -1,4 +1,4 @@
-"""Tools before and after a run: check, convert-calibration, export, view and report."""
+"""Tools before and after a run: check, convert-calibration, export, view, report, doctor and bundle."""
 
 from __future__ import annotations
 
@@ -126,6 +126,34 @@ def check(
     typer.echo(f"{n_errors} errors, {n_warnings} warnings")
     if n_errors:
         raise typer.Exit(2)
+
+
+def doctor() -> None:
+    """Look at this machine and installation: versions, codecs, extras, folders, kernels, and a self-test."""
+    from mocap.pipeline.doctor import examine
+
+    n_wrong = 0
+    for finding in examine():
+        n_wrong += finding.verdict == "wrong"
+        typer.echo(f"{finding.verdict:>8}  {finding.what}: {finding.text}")
+    typer.echo("All is well." if not n_wrong else f"{n_wrong} thing{'s' * (n_wrong != 1)} to mend.")
+    if n_wrong:
+        raise typer.Exit(2)
+
+
+def bundle(
+    result: RunPath,
+    session: Annotated[
+        Path | None, typer.Argument(help="The run's session: its calibration and settings come along.")
+    ] = None,
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write.")] = Path("bundle.zip"),
+) -> None:
+    """What somebody who looks for a mistake needs of a run, in one file; no pictures, no paths."""
+    from mocap.pipeline.bundle import write_bundle
+
+    names = write_bundle(result, out, session)
+    typer.echo(f"{len(names)} files in {out}: {', '.join(name for name in names if '/' not in name)}, ...")
+    typer.echo("It holds no pictures and no names of your folders. Look into it before you send it.")
 
 
 def convert_calibration(

@@ -62,7 +62,7 @@ def warm_up(progress: Progress = no_progress) -> int:
 
 def _small_session(root: Path) -> Path:
     """A stick figure that walks before a few cameras on a ring."""
-    rig = CameraRig(tuple(_cameras()))
+    rig = small_rig()
     rng = np.random.default_rng(0)
     root.mkdir(parents=True)
     write_calibration(root / "calibration.toml", rig)
@@ -80,6 +80,11 @@ def _small_session(root: Path) -> Path:
                 _draw(picture, camera, np.array([0.04 * frame - 0.2, 0.0, 0.0]))
             cv2.imwrite(str(folder / f"{frame + _N_EMPTY:03d}.png"), picture)
     return root
+
+
+def small_rig() -> CameraRig:
+    """Six cameras of 192 x 144 around the origin, which look at a height of 1 m."""
+    return CameraRig(tuple(_cameras()))
 
 
 def _cameras() -> Iterator[Camera]:

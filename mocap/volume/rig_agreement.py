@@ -63,8 +63,9 @@ class AgreementSettings:
     misses the hull by more is no outline of a person.  loss_m : clearances closer than this to the quantile count as on
     it.  far_m : those below it by more count as this far.  ridge : settles what the outlines leave open, in a sum of
     weights of 100 and more per outline point.
-    agrees_m, agrees_px : cameras off by less than the larger agree. Healthy rigs are off by 0.5 cm at most with
+    agrees_m, agrees_px : cameras off by less than the larger agree. Healthy rigs are off by 0.7 cm at most with
     pictures of 320 x 240 and more, by 0.9 cm (0.4 px) with 160 x 120; a shift of a camera by 2 cm is 0.9 to 1.6 cm.
+    disagrees : a rig in which nobody can be blamed is said to disagree when it is off by this factor more.
     among_furniture : factor on it where something is known to stand, of which edges are not: 0.6 to 1.0 cm are healthy.
     cut_m : there an outline that all others but one see so far beyond is cut, and says nothing of others.
     clearly : without those that are named the largest misfit is smaller than without any others by this factor.
@@ -81,7 +82,8 @@ class AgreementSettings:
     loss_m: float = 0.002
     far_m: float = 0.08
     ridge: float = 30.0
-    agrees_m: float = 0.006
+    agrees_m: float = 0.007
+    disagrees: float = 2.0
     agrees_px: float = 0.45
     among_furniture: float = 2.5
     cut_m: float = 0.02
@@ -110,7 +112,7 @@ class Misfit:
 @dataclass(frozen=True)
 class Agreement:
     """misfits : of the cameras that are named.  offset_m : the largest misfit among the others, NaN when there is too
-    little to tell from.  is_decided : whether the others agree."""
+    little to tell from.  is_decided : False = the others disagree, and it cannot be told who is wrong."""
 
     misfits: dict[str, Misfit]
     offset_m: float
@@ -262,7 +264,7 @@ class _Judge:
                 others = _without(cameras, bad)
                 misfits = {self._world.rig[c].name: self.misfit(c, others) for c in bad}
                 return Agreement(misfits, left[bad], is_decided=True)
-        return Agreement({}, offset, is_decided=False)
+        return Agreement({}, offset, is_decided=offset <= self._settings.disagrees * agrees_m)
 
     def largest(self, group: tuple[int, ...]) -> float:
         """The largest misfit within a group of cameras, NaN when there is too little to tell from."""

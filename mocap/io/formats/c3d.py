@@ -5,6 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import struct
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -119,18 +122,30 @@ def write_c3d(path: Path, motion: Motion, fps: float) -> None:
     c3d["header"]["points"]["first_frame"] = int(motion.frames[0])
     c3d["data"]["points"] = points
     c3d["data"]["meta_points"]["residuals"] = np.where(known.T, 0.0, -1.0)[None]
-    with replacing(path) as temporary:
+    with replacing(path) as temporary, _plain_place(temporary) as place:
         try:
-            c3d.write(str(temporary))
+            c3d.write(str(place))
         except (RuntimeError, ValueError) as error:
             raise MocapError(
                 f"ezc3d could not write the file: {error}",
                 remedy="check that the folder is writable and has space left",
                 path=path,
             ) from error
-        if not _is_whole(temporary, points.shape[1] * points.shape[2]):
+        if not _is_whole(place, points.shape[1] * points.shape[2]):
             # ezc3d says nothing when the disk is full.
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@contextmanager
+def _plain_place(path: Path) -> Iterator[Path]:
+    """Where ezc3d writes for `path`: it knows names of ASCII letters alone, whatever the locale."""
+    if str(path).isascii():
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="mocap-") as folder:
+        place = Path(folder) / "motion.c3d"
+        yield place
+        path.write_bytes(place.read_bytes())
 
 
 def _is_whole(path: Path, n_points: int) -> bool:
