@@ -34,7 +34,7 @@ ARROWS: dict[str, frozenset[str]] = {
     # The 2D world on which the sources compare filters, apart from the product's rooms.
     "polygons": frozenset({"data"}),
     # Synthetic sessions with exact truth: of the product's rooms it needs the containers and the file formats.
-    "synth": frozenset({"data", "io", "polygons"}),
+    "synth": frozenset({"data", "geometry", "io", "polygons"}),
     "cli": frozenset({"calibrate", "io", "synth", "filters", "metrics", "compare", "pipeline"}),
     "__main__": frozenset({"cli"}),
     "": frozenset(),  # mocap/__init__.py

@@ -12,6 +12,7 @@ from mocap.body.kinematics import (
     skeleton_of,
 )
 from mocap.body.model import Body, BodyModel, body_presets, load_body_model, scale_body
+from mocap.body.skin import body_skin
 
 __all__ = [
     "Body",
@@ -19,6 +20,7 @@ __all__ = [
     "HeightEstimate",
     "LookUpTable",
     "body_presets",
+    "body_skin",
     "body_toml",
     "build_look_up_table",
     "candidate_states",

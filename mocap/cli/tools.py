@@ -86,12 +86,17 @@ def export(
     cubes: Annotated[
         bool, typer.Option("--cubes", help="PLY with coloured cubes instead of points.")
     ] = False,
+    bones: Annotated[
+        str, typer.Option("--bones", help="Names of bones in BVH and GLB: mocap, mixamo, vrm or unreal.")
+    ] = "mocap",
 ) -> None:
     """Coloured voxels per frame, or motion, from a finished run, for other tools."""
+    from mocap.io.formats import BONE_NAMES
     from mocap.pipeline.export import EXPORTS, export_run
 
     check_choice("--what", what, EXPORTS)
     check_choice("--format", format, EXPORTS[what])
+    check_choice("--bones", bones, BONE_NAMES)
 
     with progress_bar() as progress:
         written = export_run(
@@ -101,6 +106,7 @@ def export(
             format=format,
             frames=parse_frames(frames),
             cubes=cubes,
+            bone_names=bones,  # type: ignore[arg-type]
             progress=progress,
         )
     more = f" ... {written[-1].name}" if len(written) > 1 else ""

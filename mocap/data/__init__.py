@@ -6,6 +6,7 @@ from mocap.data.motion import BONES, LANDMARKS, Motion, Tracks
 from mocap.data.occluders import Occluders, n_judges
 from mocap.data.problem import ArticulatedProblem, ResidualProblem, StateLayout
 from mocap.data.skeleton import Skeleton
+from mocap.data.skin import Skin
 from mocap.data.voxels import Hull, VoxelGrid
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Occluders",
     "ResidualProblem",
     "Skeleton",
+    "Skin",
     "StateLayout",
     "Tracks",
     "VoxelGrid",

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mocap.errors import MocapError, did_you_mean
 from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
+from mocap.io.formats.bone_names import BoneNames
 from mocap.pose.method import Method
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # of a section, of the method's settings
@@ -236,6 +237,9 @@ class OutputConfig(_Section):
         "rrd",
         "report",
     )
+    bone_names: BoneNames = "mocap"
+    """What bones are called in BVH and GLB: as here, or as in the rigs of Mixamo, of VRM humanoids, of Unreal's
+    mannequin, so that the motion falls onto such a character."""
     report_frames: int = Field(default=3, ge=1, le=12)
     """Frames shown as pictures in the report."""
     report_cameras: int = Field(default=4, ge=1, le=16)

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body import skeleton_of
 from mocap.data import Hull, Motion
 from mocap.errors import MocapError
 from mocap.files import load_json
-from mocap.io import formats
 from mocap.io._files import writing
-from mocap.io.formats import voxels
+from mocap.io.formats import BoneNames, voxels
 from mocap.io.store import StageStore
-from mocap.pipeline.tracking import every_frame
+from mocap.pipeline.outputs import motion_writers
 from mocap.pose.result import PersonPoses, motion_of
 from mocap.products import poses as poses_product
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
@@ -41,12 +40,14 @@ def export_run(
     format: str | None = None,
     frames: Frames | None = None,
     cubes: bool = False,
+    bone_names: BoneNames = "mocap",
     progress: Progress | None = None,
 ) -> list[Path]:
     """Write voxels or motion of the run in `out` into `folder`; returns the files.
 
     what, format : see EXPORTS; format None = the first one.  frames : (start, stop) in frames of the session, either
     may be None. Motion holds the frames that a person was followed in.  cubes : voxels in PLY as coloured faces.
+    bone_names : of BVH and GLB.
     Raises MocapError for an unknown kind or format, a folder without such a result, or a range without frames.
     """
     if what not in EXPORTS:
@@ -63,7 +64,7 @@ def export_run(
     tick = progress or no_progress
     if what == "voxels":
         return _export_voxels(store, folder, chosen, frames, cubes, tick)
-    return _export_motion(store, folder, chosen, frames, _fps_of_run(out), tick)
+    return _export_motion(store, folder, chosen, frames, _fps_of_run(out), bone_names, tick)
 
 
 def _export_voxels(
@@ -90,7 +91,13 @@ def _export_voxels(
 
 
 def _export_motion(
-    store: StageStore, folder: Path, format: str, frames: Frames | None, fps: float, progress: Progress
+    store: StageStore,
+    folder: Path,
+    format: str,
+    frames: Frames | None,
+    fps: float,
+    bone_names: BoneNames,
+    progress: Progress,
 ) -> list[Path]:
     """One file per person, person_1.bvh."""
     people = stored_poses(store)
@@ -100,7 +107,7 @@ def _export_motion(
         if not keep.any():
             continue
         path = folder / f"person_{poses.person}.{format}"
-        _write_person(path, format, poses, keep, fps)
+        _write_person(path, format, poses, keep, fps, bone_names)
         written.append(path)
         progress("export", i + 1, len(people))
     if not people:
@@ -111,16 +118,14 @@ def _export_motion(
     return written
 
 
-def _write_person(path: Path, format: str, poses: PersonPoses, keep: NDArray[np.bool_], fps: float) -> None:
+def _write_person(
+    path: Path, format: str, poses: PersonPoses, keep: NDArray[np.bool_], fps: float, bone_names: BoneNames
+) -> None:
     """One person in the frames to keep, (T,)."""
-    if format in ("bvh", "glb"):
-        states = every_frame(poses.frames[keep], poses.states[keep])
-        skeleton = skeleton_of(poses.body, states, poses.person)
-        (formats.write_bvh if format == "bvh" else formats.write_glb)(path, skeleton, fps)
-        return
     motion = motion_of(poses, fps)
     kept = Motion(motion.person, motion.frames[keep], motion.time_s[keep], motion.landmarks[keep])
-    (formats.write_trc if format == "trc" else formats.write_c3d)(path, kept, fps)
+    shown = replace(poses, frames=poses.frames[keep], states=poses.states[keep])
+    motion_writers(shown, kept, fps, bone_names)[format](path)
 
 
 def _is_in(frame: int, frames: Frames | None) -> bool:

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from mocap.body import skeleton_of
+from mocap.body import body_skin, skeleton_of
+from mocap.data import Motion
 from mocap.errors import MissingExtra, MocapError
 from mocap.io._files import atomic_text, writing
-from mocap.io.formats import write_bvh, write_c3d, write_glb, write_trc
+from mocap.io.formats import BoneNames, renamed, write_bvh, write_c3d, write_glb, write_trc
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
 from mocap.pipeline.config import Config
 from mocap.pipeline.record import Found
@@ -44,16 +45,9 @@ def write_exports(found: Found, config: Config, folder: Path, *, progress: Progr
     formats, fps = config.output.formats, found.session.fps
     steps: list[tuple[Path, Callable[[Path], None]]] = []
     for poses, motion in zip(found.poses, found.motions, strict=True):
-        skeleton = skeleton_of(poses.body, every_frame(poses.frames, poses.states), poses.person)
-        writers: dict[str, Callable[[Path], None]] = {
-            "bvh": partial(write_bvh, skeleton=skeleton, fps=fps),
-            "glb": partial(write_glb, skeleton=skeleton, fps=fps),
-            "trc": partial(write_trc, motion=motion, fps=fps),
-            "c3d": partial(write_c3d, motion=motion, fps=fps),
-        }
         steps += [
             (folder / f"person_{poses.person}.{name}", write)
-            for name, write in writers.items()
+            for name, write in motion_writers(poses, motion, fps, config.output.bone_names).items()
             if name in formats
         ]
     if "rrd" in formats:
@@ -64,6 +58,21 @@ def write_exports(found: Found, config: Config, folder: Path, *, progress: Progr
         progress("report", i, len(steps))
     progress("report", len(steps), len(steps))
     return left_out
+
+
+def motion_writers(
+    poses: PersonPoses, motion: Motion, fps: float, bone_names: BoneNames
+) -> dict[str, Callable[[Path], None]]:
+    """What writes one person into a file, by the file's suffix."""
+    skeleton = renamed(
+        skeleton_of(poses.body, every_frame(poses.frames, poses.states), poses.person), bone_names
+    )
+    return {
+        "bvh": partial(write_bvh, skeleton=skeleton, fps=fps),
+        "glb": lambda path: write_glb(path, skeleton, fps, body_skin(poses.body)),
+        "trc": partial(write_trc, motion=motion, fps=fps),
+        "c3d": partial(write_c3d, motion=motion, fps=fps),
+    }
 
 
 def written_or_why(path: Path, write: Callable[[Path], None]) -> list[str]:

@@ -22,7 +22,7 @@ OUTPUT_WORDS = {
     ".bvh": "animated skeleton for animation tools (y up, centimetres)",
     ".trc": "landmark trajectories for biomechanics tools (y up, metres)",
     ".c3d": "landmark trajectories for biomechanics tools (z up, millimetres)",
-    ".glb": "animated stick body for 3D viewers (y up, metres)",
+    ".glb": "animated person with armature and skin (y up, metres)",
 }
 
 

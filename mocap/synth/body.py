@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, diags
 
+from mocap.geometry.surface_nets import surface_nets
 from mocap.synth.figure import JOINT, JOINTS, SIDES, Figure, forward_kinematics, rotation_about
 from mocap.synth.flesh import Part, flesh_of
-from mocap.synth.polygonise import surface_nets
 
 Array = NDArray[np.float64]
 

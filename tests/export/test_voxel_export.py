@@ -11,6 +11,7 @@ import trimesh
 
 from mocap.data import Hull, VoxelGrid
 from mocap.errors import MocapError
+from mocap.io.formats._writing import ANIMATION_FROM_WORLD
 from mocap.io.formats.voxels import (
     UNSEEN_GREY,
     hull_quads,
@@ -78,8 +79,8 @@ def test_cubes_are_a_closed_surface_around_the_volume(tmp_path: Path) -> None:
     write_voxels_glb(tmp_path / "a.glb", hull)
     from_ply = trimesh.load(tmp_path / "a.ply", process=True, merge_tex=True)
     from_glb = trimesh.load(tmp_path / "a.glb", force="mesh")
-    for mesh, turn in ((from_ply, [0, 1, 2]), (from_glb, [2, 0, 1])):
-        corners = np.asarray(mesh.vertices)[:, turn]
+    for mesh, turn in ((from_ply, np.eye(3)), (from_glb, ANIMATION_FROM_WORLD)):
+        corners = np.asarray(mesh.vertices) @ turn
         plain = trimesh.Trimesh(corners, mesh.faces, process=True)
         plain.merge_vertices(merge_tex=True, merge_norm=True)
         # Outward faces: the volume is positive and that of the voxels.

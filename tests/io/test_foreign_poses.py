@@ -89,9 +89,11 @@ def test_bvh_agrees_with_the_skeleton_that_was_written(tmp_path: Path) -> None:
         root_position=rng.normal(0, 1, (6, 3)),
     )
     write_bvh(tmp_path / "person_4.bvh", skeleton, FPS)
-    (table,) = read_poses(tmp_path / "person_4.bvh").people
+    poses = read_poses(tmp_path / "person_4.bvh")
+    (table,) = poses.people
+    assert poses.world_from_file is not None
     expected = skeleton.global_positions()
-    found = table.xyz[..., [2, 0, 1]] / 100.0
+    found = table.xyz @ poses.world_from_file.T / 100.0
     for j, name in enumerate(names):
         at = table.names.index(name.replace(" ", "_"))
         np.testing.assert_allclose(found[:, at], expected[:, j], atol=2e-7, err_msg=name)

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from mocap.data import LANDMARKS, VoxelGrid
+from mocap.geometry.surface_nets import surface_nets
 from mocap.synth.body import Body, build_body, mesh_volume_and_centroid
 from mocap.synth.figure import (
     JOINT,
@@ -17,7 +18,6 @@ from mocap.synth.figure import (
     make_figure,
     rotation_about,
 )
-from mocap.synth.polygonise import surface_nets
 from mocap.synth.voxelise import solid_voxels
 
 CELL_M = 0.024  # coarser than the default: the tests are about shape, not finish

@@ -3,6 +3,7 @@
 Every file is written whole or not at all, and the same input gives the same bytes.
 """
 
+from mocap.io.formats.bone_names import BONE_NAMES, BoneNames, renamed
 from mocap.io.formats.bvh import write_bvh
 from mocap.io.formats.c3d import write_c3d
 from mocap.io.formats.gltf import write_glb
@@ -14,15 +15,18 @@ from mocap.io.formats.trc import write_trc
 EXPORT_CONVENTIONS: dict[str, dict[str, str]] = {
     ".trc": {"units": "m", "up_axis": "y", "scene_xyz_is": "z, x, y of the file"},
     ".c3d": {"units": "mm", "up_axis": "z", "scene_xyz_is": "x, y, z of the file"},
-    ".bvh": {"units": "cm", "up_axis": "y", "scene_xyz_is": "z, x, y of the file"},
-    ".glb": {"units": "m", "up_axis": "y", "scene_xyz_is": "z, x, y of the file"},
+    ".bvh": {"units": "cm", "up_axis": "y", "scene_xyz_is": "x, -z, y of the file"},
+    ".glb": {"units": "m", "up_axis": "y", "scene_xyz_is": "x, -z, y of the file"},
 }
 
 __all__ = [
+    "BONE_NAMES",
     "EXPORT_CONVENTIONS",
+    "BoneNames",
     "PoseFile",
     "PoseTable",
     "read_poses",
+    "renamed",
     "write_bvh",
     "write_c3d",
     "write_glb",

@@ -15,11 +15,13 @@ from mocap.errors import MocapError
 
 Array = NDArray[np.float64]
 
-# Rows of the rotation from our world (x forward, y left, z up) to the Y-up world of animation tools and
-# OpenSim: file x = scene y, file y = scene z, file z = scene x.  A cyclic permutation, so it stays
-# right-handed, and a person who faces scene x faces file z, with the left hand at positive file x, as glTF
-# and BVH rigs have it.
+# Rows of the rotation from our world (x forward, y left, z up) to the Y-up world of TRC files as Pose2Sim has them:
+# file x = scene y, file y = scene z, file z = scene x.  A body in these axes faces z with its left hand at positive x,
+# as glTF and BVH rigs rest.
 Y_UP_FROM_WORLD: Array = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+# To the Y-up world of animation tools: file x = scene x, file y = scene z, file z = -scene y.  Programs whose z points
+# up, such as Blender, undo it when they read BVH or glTF, and are then in our world.
+ANIMATION_FROM_WORLD: Array = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 @contextmanager
@@ -89,6 +91,19 @@ def _depth_first(root: int, parents: list[int]) -> list[int]:
         order.append(j)
         stack += [k for k in reversed(range(len(parents))) if parents[k] == j]
     return order
+
+
+def animated(skeleton: Skeleton) -> tuple[Array, Array, Array]:
+    """What BVH and glTF want: local rotations (T, J, 3, 3), root positions (T, 3) m, and offsets at rest (J, 3) m.
+
+    At rest the body faces z with its left hand at positive x, as rigs do; the root turns it to where it faced.
+    """
+    rotations, root = held_poses(skeleton)
+    body = Y_UP_FROM_WORLD
+    turned = body @ rotations @ body.T
+    (top, *_) = root_and_order(skeleton)
+    turned[:, top] = ANIMATION_FROM_WORLD @ rotations[:, top] @ body.T
+    return turned, root @ ANIMATION_FROM_WORLD.T, skeleton.offsets @ body.T
 
 
 def held_poses(skeleton: Skeleton) -> tuple[Array, Array]:

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from mocap.data import Skeleton
 from mocap.errors import MocapError
 from mocap.files import read_text
-from mocap.io.formats._writing import Y_UP_FROM_WORLD, check_fps, held_poses, root_and_order, write_bytes
+from mocap.io.formats._writing import (
+    ANIMATION_FROM_WORLD,
+    Y_UP_FROM_WORLD,
+    animated,
+    check_fps,
+    root_and_order,
+    write_bytes,
+)
 from mocap.io.formats.table import MOST, PoseFile, PoseTable, person_in_name
 
 Array = NDArray[np.float64]
@@ -61,7 +68,7 @@ def read_bvh(path: Path | str) -> PoseFile:
     """Read a BVH file: one person, the place of every joint and of every end site (`PARENT_end`).
 
     Channels in any order, joints with or without a position; a position replaces the OFFSET, as animation tools have
-    it. BVH knows no unit and no frame numbers: frames count from 0. Up is y by custom.
+    it. BVH knows no unit and no frame numbers: frames count from 0. Up is y, and forward -z, by custom.
     Raises MocapError for a hierarchy or a motion table that is broken.
     """
     path = Path(path)
@@ -82,6 +89,7 @@ def read_bvh(path: Path | str) -> PoseFile:
         fps=1.0 / motion.frame_s,
         unit=None,
         up="y",
+        world_from_file=ANIMATION_FROM_WORLD.T,
         notes=("BVH has no frame numbers: its first frame is taken as frame 0",),
     )
 
@@ -280,7 +288,8 @@ def _places(motion: BvhMotion) -> Array:
 def write_bvh(path: Path, skeleton: Skeleton, fps: float) -> None:
     """Write an animated skeleton as BVH in centimetres, Y up, Euler order Z X Y.
 
-    The rest pose is the skeleton's own, facing +Z with the left side at +X. A joint's rotation is
+    The rest pose is the skeleton's own, facing +Z with the left side at +X; places are those of our world with Y up,
+    so that Blender shows them where they were (file x, -z, y are scene x, y, z). A joint's rotation is
     Rz(z) Rx(x) Ry(y) with the channels in that order; the root also has its absolute position. Angles run on
     over 180 degrees so that curves have no jumps. A frame with a NaN holds the last known pose.
     Raises ValueError for fps <= 0 or joints that are not one tree, MocapError when the file cannot be
@@ -288,10 +297,9 @@ def write_bvh(path: Path, skeleton: Skeleton, fps: float) -> None:
     """
     check_fps(fps)
     order = root_and_order(skeleton)
-    rotations, root = held_poses(skeleton)
-    P = Y_UP_FROM_WORLD
-    angles = _zxy_degrees(P @ rotations @ P.T)
-    columns = [_CM * root @ P.T, *(angles[:, j] for j in order)]
+    rotations, root, _ = animated(skeleton)
+    angles = _zxy_degrees(rotations)
+    columns = [_CM * root, *(angles[:, j] for j in order)]
     table = np.concatenate(columns, axis=1)
 
     lines = ["HIERARCHY", *_hierarchy(skeleton, order[0], 0)]

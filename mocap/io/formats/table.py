@@ -47,6 +47,7 @@ class PoseFile:
 
     format : for people, such as "TRC".  fps, unit : as the file declares them, None = it does not say.
     up : axis that points up, "x", "-x", ... "-z", by the file or by custom of its format.
+    world_from_file : (3, 3), z up, where custom fixes the other axes too; None = the next cyclic ones.
     notes : what the reader had to assume, plain sentences.
     """
 
@@ -57,6 +58,7 @@ class PoseFile:
     unit: str | None
     up: str
     notes: tuple[str, ...] = ()
+    world_from_file: NDArray[np.float64] | None = None
 
 
 def bad_line(path: Path, line: int, message: str) -> MocapError:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Hull
-from mocap.io.formats._writing import Y_UP_FROM_WORLD, replacing, write_bytes
+from mocap.io.formats._writing import ANIMATION_FROM_WORLD, replacing, write_bytes
 from mocap.io.formats.gltf import floats, glb_container
 
 Array = NDArray[np.float64]
@@ -127,8 +127,8 @@ def write_voxels_glb(path: Path, hull: Hull) -> None:
     if n == 0:
         write_bytes(path, glb_container({"asset": asset, "scene": 0, "scenes": [{}]}, b""))
         return
-    positions = (corners.reshape(-1, 3) @ Y_UP_FROM_WORLD.T).astype("<f4")
-    directions = (np.repeat(normals, 4, axis=0) @ Y_UP_FROM_WORLD.T).astype("<f4")
+    positions = (corners.reshape(-1, 3) @ ANIMATION_FROM_WORLD.T).astype("<f4")
+    directions = (np.repeat(normals, 4, axis=0) @ ANIMATION_FROM_WORLD.T).astype("<f4")
     # glTF wants linear light; the fourth byte keeps every element on a multiple of four.
     linear = np.round(255.0 * _linear_from_srgb(rgb / 255.0)).astype(np.uint8)
     colours = np.full((n, 4), 255, dtype=np.uint8)

@@ -75,6 +75,8 @@ def read_motions(poses: PoseFile, side: SideMap | None = None) -> Reading:
     sources, skeleton, notes = _sources(poses, side)
     up = side.up or poses.up
     R = np.array(_WORLD_FROM[up], dtype=np.float64)
+    if side.up is None and poses.world_from_file is not None:
+        R = poses.world_from_file
     fps = side.fps or poses.fps
     people = filter(lambda table: len(table.frames), poses.people)
     return Reading(
