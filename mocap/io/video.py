@@ -6,9 +6,10 @@ import os
 import queue
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic, Protocol, TypeVar
@@ -123,10 +124,11 @@ def iter_clip(path: Path | str, *, size: Size | None = None, camera: str = "") -
         clip.close()
 
 
-def _check_order(sources: Mapping[str, Path], rig: CameraRig, frames: range) -> None:
+def _check_order(sources: Mapping[str, Path], rig: CameraRig, frames: Sequence[int]) -> None:
     if missing := [n for n in rig.names if n not in sources]:
         raise ValueError(f"sources lacks cameras of the rig: {', '.join(missing)}")
-    if frames and (frames[0] < 0 or frames.step < 1):
+    is_ascending = frames.step >= 1 if isinstance(frames, range) else all(a < b for a, b in pairwise(frames))
+    if frames and (frames[0] < 0 or not is_ascending):
         raise ValueError(f"frames must be ascending from 0 on, got {frames}")
 
 
@@ -137,7 +139,7 @@ class _Reader(ABC, Generic[Picture]):
         self,
         sources: Mapping[str, Path],
         rig: CameraRig,
-        frames: range,
+        frames: Sequence[int],
         *,
         n_workers: int | None = None,
     ) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.metrics import point_errors
-from mocap.pipeline.panels import chosen_frames, images_at
+from mocap.pipeline.panels import chosen_frames, images_of
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord
 from mocap.pipeline.scene_frames import room_bounds
 from mocap.products import hulls as hulls_product
@@ -23,15 +23,17 @@ from mocap.volume import silhouette_residuals
 
 Array = NDArray[np.float64]
 
+SilhouetteNumbers = dict[str, dict[str, float | None]]
+
 _RESIDUAL_FRAMES = 12  # of which hull and silhouettes are compared
 
 
-def run_figures(record: RunRecord, found: Found) -> Iterator[Figure]:
-    """Every figure that there is something to draw for."""
+def run_figures(record: RunRecord, found: Found, silhouettes: SilhouetteNumbers) -> Iterator[Figure]:
+    """Every figure that there is something to draw for.  silhouettes : of `silhouette_numbers`."""
     yield from _accuracy(record, found)
     yield _paths(found)
     yield from _timing(record)
-    yield from _silhouettes(record, found)
+    yield from _silhouettes(found, silhouettes)
     yield from _occluders(found)
     yield from _filter_health(found)
 
@@ -88,7 +90,7 @@ def _timing(record: RunRecord) -> Iterator[Figure]:
         )
 
 
-def _silhouettes(record: RunRecord, found: Found) -> Iterator[Figure]:
+def _silhouettes(found: Found, silhouettes: SilhouetteNumbers) -> Iterator[Figure]:
     from mocap.view import plot_foreground_share, plot_mask_quality
 
     if found.hulls is not None:
@@ -102,7 +104,6 @@ def _silhouettes(record: RunRecord, found: Found) -> Iterator[Figure]:
                 {name: shares[:, c] for c, name in enumerate(found.session.rig.names)},
             ),
         )
-    silhouettes = silhouette_numbers(record, found)
     if silhouettes:
         yield Figure(
             "Defects of the silhouettes",
@@ -121,7 +122,8 @@ def _occluders(found: Found) -> Iterator[Figure]:
     occluders = stored_occluders(found.store, rig)
     places = {c.name: occluders.standing_pixels(c) for c in rig if occluders.of(c) is not None}
     if places:
-        pictures = dict(zip(rig.names, images_at(found, int(found.session.frames[0])), strict=True))
+        ((_, first),) = images_of(found, found.session.frames[:1])
+        pictures = dict(zip(rig.names, first, strict=True))
         yield Figure(
             "What can stand in front of people",
             "Learnt from the silhouettes: of what is behind the tinted places the camera is not asked.",
@@ -146,7 +148,7 @@ def _filter_health(found: Found) -> Iterator[Figure]:
     )
 
 
-def silhouette_numbers(record: RunRecord, found: Found) -> dict[str, dict[str, float | None]]:
+def silhouette_numbers(record: RunRecord, found: Found) -> SilhouetteNumbers:
     """The quality of each camera's masks, with the share that the hull of some frames does not reach."""
     numbers = {name: dict(row) for name, row in record.numbers.get("segment", {}).get("cameras", {}).items()}
     if not numbers or found.hulls is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +36,7 @@ def _volume_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]
     session, store = found.session, found.store
     hulls, masks = store.reader(hulls_product.PRODUCT), store.reader(masks_product.PRODUCT)
     grid = grid_from_attrs(hulls.attrs)
-    for frame in chosen_frames(found, hulls.frames, settings.report_frames):
-        images = images_at(found, int(frame))
+    for frame, images in images_of(found, chosen_frames(found, hulls.frames, settings.report_frames)):
         hull = hull_from_arrays(grid, hulls.read(int(frame)))
         mask = masks_from_arrays(masks.read(int(frame)), session)
         rows = rows_at(found.poses, int(frame))
@@ -56,8 +55,7 @@ def marker_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]:
 
     session = found.session
     frames = np.array(session.frames, dtype=np.int64)
-    for frame in chosen_frames(found, frames, settings.report_frames):
-        images = images_at(found, int(frame))
+    for frame, images in images_of(found, chosen_frames(found, frames, settings.report_frames)):
         read = keypoints_at if found.kind == "keypoints" else detections_at
         detections = read(found.store, session, int(frame))
         rows = rows_at(found.poses, int(frame))
@@ -111,13 +109,17 @@ def _views(
         yield label, crop(picture, window, scale=scale)
 
 
-def images_at(found: Found, frame: int) -> tuple[Image, ...]:
-    """Pictures of one frame; grey ones when the session has only masks."""
-    session = found.session
+def images_of(
+    found: Found, frames: Sequence[int] | NDArray[np.int64]
+) -> Iterator[tuple[int, tuple[Image, ...]]]:
+    """Ascending frames with their pictures, read in one go; grey ones when the session has only masks."""
+    session, numbers = found.session, [int(frame) for frame in frames]
     if not session.image_sources:
-        return tuple(np.full((c.size[1], c.size[0], 3), 90, dtype=np.uint8) for c in session.rig)
-    with FrameReader(session.image_sources, session.rig, range(frame, frame + 1)) as reader:
-        return next(iter(reader))[1]
+        grey = tuple(np.full((c.size[1], c.size[0], 3), 90, dtype=np.uint8) for c in session.rig)
+        yield from ((frame, grey) for frame in numbers)
+        return
+    with FrameReader(session.image_sources, session.rig, numbers) as reader:
+        yield from reader
 
 
 def _chosen_cameras(found: Found, settings: OutputConfig) -> list[int]:

@@ -32,6 +32,7 @@ def write_run_report(result: RunResult, path: Path) -> None:
     session = found.session
     n = len(session.frames)
     scores = record.scores or {}
+    silhouettes = silhouette_numbers(record, found)
     names = {"run.json", found.store.path.name, *(p.name for p in path.parent.iterdir())}
     data = ReportData(
         title=f"Motion capture: {record.session}",
@@ -50,14 +51,14 @@ def write_run_report(result: RunResult, path: Path) -> None:
             for stage, seconds in record.timings_s.items()
             if stage != OUTPUTS
         },
-        figures=tuple(run_figures(record, found)),
+        figures=tuple(run_figures(record, found, silhouettes)),
         frames=tuple(frame_panels(found, record.config.output)),
         outputs=tuple(_output_words(names)),
         command=record.command
         or printable(f"mocap run {session.name} -o {result.out.name} --seed {record.seed}"),
         config_text=json.dumps(record.config.model_dump(mode="json"), indent=1),
         versions=dict(record.versions),
-        silhouettes=silhouette_numbers(record, found),
+        silhouettes=silhouettes,
     )
     write_report(path, data)
 

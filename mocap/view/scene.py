@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mocap.data import BONES, LANDMARKS, Camera, CameraRig, Hull, Tracks
 from mocap.errors import MissingExtra, MocapError
+from mocap.threads import in_parallel
 from mocap.view.overlay import SIDE_COLOURS, BodyPart, person_colour, side_of_landmark
 
 Array = NDArray[np.float64]
@@ -35,6 +36,7 @@ _IMAGE_SHARE = 0.6  # of what is left after the persons; the rest is for voxels
 _MIN_VOXELS = 400
 _MAX_VOXELS = 20_000
 _DEFAULT_FRAMES = 300
+_THREADS = 2  # that code pictures
 _IMAGE_PLANE_M = 0.45
 
 
@@ -339,15 +341,19 @@ def _log_hull(rr: Any, stream: Any, hull: Hull | None, budget: _Budget) -> None:
 def _log_images(rr: Any, stream: Any, item: SceneFrame, lenses: Mapping[str, _Lens], budget: _Budget) -> None:
     if not item.images or not budget.is_image_turn():
         return
-    coded = {}
-    for name, image in item.images.items():
-        if name not in lenses:
-            raise ValueError(f"frame {item.frame} has an image of {name!r}, which is not in the rig")
-        small = np.ascontiguousarray(lenses[name].apply(image)[..., ::-1])
+    if unknown := [name for name in item.images if name not in lenses]:
+        raise ValueError(f"frame {item.frame} has an image of {unknown[0]!r}, which is not in the rig")
+
+    def coded_of(named: tuple[str, Image]) -> bytes:
+        name, image = named
+        small = cv2.cvtColor(lenses[name].apply(image), cv2.COLOR_RGB2BGR)
         ok, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         if not ok:
             raise ValueError(f"the image of {name!r} in frame {item.frame} cannot be coded as JPEG")
-        coded[name] = data.tobytes()
+        return bytes(data.tobytes())
+
+    contents = in_parallel(coded_of, list(item.images.items()), min(_THREADS, os.cpu_count() or 1))
+    coded = dict(zip(item.images, contents, strict=True))
     if budget.takes_images(sum(len(content) for content in coded.values())):
         for name, content in coded.items():
             stream.log(f"world/cameras/{name}", rr.EncodedImage(contents=content, media_type="image/jpeg"))
