@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli import calibrate, cluster, compare, run, synth, tools
+from mocap.cli import calibrate, cluster, compare, live, run, synth, tools
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
 from mocap.portable import Stopped, find_kernel_cache, stoppable
@@ -23,6 +23,7 @@ app = typer.Typer(
 COMMANDS: dict[str, Callable[..., None]] = {
     "demo": run.demo,
     "run": run.run,
+    "live": live.live,
     "segment": run.segment,
     "carve": run.carve,
     "track": run.track,

@@ -1,0 +1,217 @@
+"""The engine: sets of pictures in, frame results out, with bounded memory and latency.
+
+The stages' own steps segment, carve and track a frame while the poses of the frame before are solved.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body import load_body_model
+from mocap.data import Occluders, VoxelGrid
+from mocap.io.session import Session
+from mocap.io.store import StageStore
+from mocap.pipeline.config import Config
+from mocap.pipeline.live.pairing import PictureSet
+from mocap.pipeline.pose_settings import make_tools
+from mocap.pipeline.stage import Arrays, Job, Seen
+from mocap.pipeline.stages.carve import CARVE, grid_of
+from mocap.pipeline.stages.pose import PersonViews
+from mocap.pipeline.stages.segment import SEGMENT
+from mocap.pipeline.stages.track import TRACK
+from mocap.pipeline.walk import Walker
+from mocap.pose.deviation import landmark_covariances
+from mocap.pose.follow import FramePose
+from mocap.pose.forward import ForwardPerson, ForwardSettings, Sighting
+from mocap.pose.person import series_of
+from mocap.pose.volume import VolumeTools
+from mocap.products import hulls as hulls_product
+from mocap.products import masks as masks_product
+from mocap.products import occluders as occluders_product
+from mocap.threads import Ahead, AtOnce
+from mocap.tracking.state import TENTATIVE, Track
+
+Array = NDArray[np.float64]
+
+ENDLESS = range(2**31 - 1)
+"""Frames of a session that has no end."""
+_STAGES = (SEGMENT, CARVE, TRACK)
+_MOST_PERSONS = 16  # who is remembered; the one who was not seen for longest gives way
+_NO_PICTURE = np.zeros((0, 0, 3), dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class PersonResult:
+    """One person in one frame.
+
+    xyz : (3,) m, the track.  height_m : of the body; None while it is not known.  pose, landmarks (15, 3) m and
+    deviation_m (15,), the standard deviation along an axis: None while the first pose is looked for.
+    """
+
+    person: int
+    xyz: Array
+    height_m: float | None = None
+    pose: FramePose | None = None
+    deviation_m: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FrameResult:
+    """What was found in one set of pictures.
+
+    time_s : that it shows.  latency_s : from when the latest picture was taken over to the result.
+    n_cameras : that took part.
+    """
+
+    frame: int
+    time_s: float
+    latency_s: float
+    n_cameras: int
+    persons: tuple[PersonResult, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracked:
+    """A frame as far as the tracker.  rows : product -> arrays of this frame."""
+
+    seen: Seen
+    rows: dict[str, Arrays]
+    pictures: PictureSet
+
+
+class Engine:
+    """Segments, carves, tracks and follows persons; use as context manager.
+
+    session : with rig, backgrounds and fps; its frames are not read.  store : for what stages keep of the room.
+    occluders : what stands before people.  n_threads : with more than one, poses are solved while the next frame is
+    tracked, and first poses are looked for while frames go on; with one everything waits for everything, so that the
+    results are the same every time.  forward : how persons are taken up; None = the usual.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        config: Config,
+        store: StageStore,
+        occluders: Occluders,
+        *,
+        seed: int = 0,
+        n_threads: int = 2,
+        forward: ForwardSettings | None = None,
+    ) -> None:
+        self.session, self.config, self._seed, self._forward = session, config, seed, forward
+        self._n_threads = n_threads
+        self._stack = ExitStack()
+        self._grid = grid_of(session, config)
+        self._views = PersonViews(session, self._grid, occluders)
+        self._persons: dict[int, ForwardPerson] = {}
+        with store.writer(
+            occluders_product.PRODUCT, "live", occluders_product.occluder_attrs(occluders)
+        ) as out:
+            for row, arrays in occluders_product.occluder_rows(occluders, session.rig):
+                out.append(row, **arrays)
+        pool = self._stack.enter_context(ThreadPoolExecutor(n_threads))
+        job = Job(session, config, store, "live", seed, n_threads, each=pool.map, is_endless=True)
+        self._walkers = [Walker(stage, job) for stage in _STAGES]
+        self._searches = self._stack.enter_context(ThreadPoolExecutor(1) if n_threads > 1 else AtOnce())
+
+    def __enter__(self) -> Engine:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def busy_s(self) -> dict[str, float]:
+        """Stage -> seconds of work so far."""
+        return {walker.stage.name: walker.busy_s for walker in self._walkers}
+
+    def results(self, sets: Iterable[PictureSet]) -> Iterator[FrameResult]:
+        """The result of every set, in order."""
+        tracked: Iterator[_Tracked] = self._tracked(sets)
+        with ExitStack() as stack:
+            if self._n_threads > 1:
+                tracked = stack.enter_context(Ahead(tracked, 1))
+            for found in tracked:
+                persons = self._posed(found)
+                yield FrameResult(
+                    frame=found.seen.frame,
+                    time_s=found.pictures.time_s,
+                    latency_s=time.monotonic() - found.pictures.taken_s,
+                    n_cameras=sum(shot is not None for shot in found.pictures.shots),
+                    persons=persons,
+                )
+
+    def _tracked(self, sets: Iterable[PictureSet]) -> Iterator[_Tracked]:
+        """Every set as far as the tracker; frames count the time, those that were dropped too."""
+        first_s, frame = None, -1
+        for i, pictures in enumerate(sets):
+            first_s = pictures.time_s if first_s is None else first_s
+            frame = max(frame + 1, round((pictures.time_s - first_s) * self.session.fps))
+            images = [_NO_PICTURE if shot is None else shot.picture for shot in pictures.shots]
+            seen, rows = Seen(i, frame, pictures=images), {}
+            for walker in self._walkers:
+                seen, made = walker.step(seen)
+                rows.update({row.product: row.arrays for row in made if row.frame == frame})
+            yield _Tracked(seen, rows, pictures)
+
+    def _posed(self, found: _Tracked) -> tuple[PersonResult, ...]:
+        """The persons of a frame with their poses."""
+        assert found.seen.tracks is not None
+        tracks = [track for track in found.seen.tracks if track.status != TENTATIVE]
+        return tuple(self._person(track, found) for track in tracks)
+
+    def _person(self, track: Track, found: _Tracked) -> PersonResult:
+        assert found.seen.owner is not None
+        hull = self._views.hull(
+            found.rows[hulls_product.PRODUCT],
+            found.seen.owner,
+            track.serial + 1,
+            lambda: found.rows[masks_product.PRODUCT],
+        )
+        follower = self._follower(track.person)
+        pose = follower.see(Sighting(found.pictures.time_s, track.xyz, hull))
+        tools = follower.tools
+        if pose is None or tools is None:
+            return PersonResult(track.person, track.xyz, follower.height_m)
+        covariance = landmark_covariances(
+            tools.body, series_of([pose]), self.config.method.deviation, is_refined=self.config.pose.refine
+        )
+        deviation_m = np.sqrt(np.trace(covariance[0], axis1=1, axis2=2) / 3.0)
+        return PersonResult(track.person, track.xyz, follower.height_m, pose, deviation_m)
+
+    def _follower(self, person: int) -> ForwardPerson:
+        """Who follows a person; the last who was seen stands last."""
+        follower = self._persons.pop(person, None)
+        if follower is None:
+            sized = load_body_model(self.config.body_model("voxels")).height_m
+            follower = ForwardPerson(
+                person,
+                self._grid,
+                partial(_tools_of, self._grid, self.session.fps, self.config),
+                self._searches,
+                seed=self._seed,
+                settings=self._forward,
+                given_m=self.config.body.height_m or sized or self.session.person_height_m,
+            )
+        self._persons[person] = follower
+        while len(self._persons) > _MOST_PERSONS:
+            del self._persons[next(iter(self._persons))]
+        return follower
+
+
+def _tools_of(grid: VoxelGrid, fps: float, config: Config, height_m: float) -> VolumeTools:
+    """Tools of a person of some height."""
+    model = config.body_model("voxels")
+    return make_tools(grid, fps, height_m, model, config.pose, config.likelihood, 1, config.method)

@@ -1,0 +1,171 @@
+"""The room of a live run: a session whose pictures come from cameras, with backgrounds learnt before anybody enters.
+
+It is a session folder too, so that what is recorded into it can be run again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import CameraRig
+from mocap.errors import MocapError
+from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, atomic_text
+from mocap.io.calibration import read_calibration, write_calibration
+from mocap.io.session import Session
+from mocap.io.session.sources import sources_in
+from mocap.pipeline.live.engine import ENDLESS
+from mocap.pipeline.live.pairing import Pairing, PictureSet
+
+Image = NDArray[np.uint8]
+
+MIN_CAMERAS = 3
+_FEWEST_PICTURES = 10  # of the empty room: fewer say nothing of its noise
+_MOST_PICTURES = 40
+_FASTEST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+
+
+def sources_by_camera(words: Sequence[str], rig: CameraRig, calibration: Path) -> dict[str, str]:
+    """Camera -> source, from words CAMERA=SOURCE. Raises MocapError for what is no camera of the rig, or too few."""
+    found: dict[str, str] = {}
+    for word in words:
+        name, equals, source = word.partition("=")
+        if not equals or not source:
+            raise MocapError(
+                f"--camera is {word!r}", remedy="write --camera CAMERA=SOURCE, for example cam_0=0"
+            )
+        if name not in rig.names:
+            raise MocapError(
+                f"the calibration has no camera {name!r}",
+                path=calibration,
+                remedy=f"use {', '.join(rig.names)}",
+            )
+        found[name] = source
+    if len(found) < MIN_CAMERAS:
+        raise MocapError(
+            f"{len(found)} cameras are given; a volume needs at least {MIN_CAMERAS}",
+            remedy="give --camera CAMERA=SOURCE for each",
+        )
+    return found
+
+
+def live_session(root: Path, calibration: Path, names: Sequence[str], fps: float) -> Session:
+    """A session of cameras that film now; its folder holds the calibration."""
+    found = read_calibration(calibration)
+    rig = found.rig.subset([name for name in found.rig.names if name in names])
+    root.mkdir(parents=True, exist_ok=True)
+    write_calibration(root / "calibration.toml", rig)
+    atomic_text(root / "session.toml", f"fps = {fps}\n")
+    return Session(
+        root=root,
+        name=root.name,
+        rig=rig,
+        fps=fps,
+        frames=ENDLESS,
+        image_sources={},
+        background_sources={name: root / "background" / name for name in rig.names},
+        mask_sources={},
+        detection_sources={},
+        room_bounds_m=None,
+        person_height_m=None,
+        warnings=(),
+        truth_dir=None,
+        calibration_path=calibration,
+        calibration=found,
+        clips={},
+    )
+
+
+def backgrounds_in(folder: Path, rig: CameraRig) -> dict[str, Path]:
+    """Camera -> clip or pictures of the empty room, in a session or its background/. Raises MocapError for a gap."""
+    inner = folder / "background"
+    found = sources_in(inner if inner.is_dir() else folder, VIDEO_SUFFIXES | IMAGE_SUFFIXES)
+    for name in rig.names:
+        if name not in found:
+            raise MocapError(
+                "there is no clip of the empty room",
+                path=folder,
+                camera=name,
+                remedy="leave --background out",
+            )
+    return {name: found[name] for name in rig.names}
+
+
+def learn_room(
+    session: Session, pairing: Pairing, seconds: float, count_down: Callable[[float], None]
+) -> None:
+    """Film the empty room into the session's background/; `count_down` is told how many seconds are left.
+
+    Raises MocapError for a camera that gives no pictures.
+    """
+    until_s = time.monotonic() + seconds
+    pictures: dict[str, list[Image]] = {name: [] for name in session.rig.names}
+    while (left_s := until_s - time.monotonic()) > 0 or _is_short(pictures, until_s):
+        count_down(max(0.0, left_s))
+        found = pairing.take(0.2)
+        if found is None:
+            continue
+        for name, shot in zip(pairing.names, found.shots, strict=True):
+            if shot is not None:
+                pictures[name].append(shot.picture)
+    for name, own in pictures.items():
+        if len(own) < _FEWEST_PICTURES:
+            raise MocapError(
+                f"there are {len(own)} pictures of the empty room, {_FEWEST_PICTURES} are needed",
+                camera=name,
+                remedy="check the source; the cameras' clocks and rates (--tolerance-ms)",
+            )
+        folder = session.root / "background" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in folder.glob("*.png"):
+            old.unlink()
+        for i, picture in enumerate(own[:: -(-len(own) // _MOST_PICTURES)]):
+            bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+            if not cv2.imwrite(str(folder / f"{i:03d}.png"), bgr, _FASTEST_PNG):
+                raise MocapError(
+                    "a picture could not be written", path=folder, remedy="make room on the disk"
+                )
+
+
+def _is_short(pictures: Mapping[str, Sequence[Image]], until_s: float) -> bool:
+    """Whether to wait on for a camera that was late to begin."""
+    return time.monotonic() < until_s + 5.0 and min(map(len, pictures.values())) < _FEWEST_PICTURES
+
+
+class Recording:
+    """The pictures of every set as videos/ of a session, black where a camera gave none; use as context manager."""
+
+    def __init__(self, session: Session) -> None:
+        self._rig = session.rig
+        folder = session.root / "videos"
+        folder.mkdir(parents=True, exist_ok=True)
+        self._writers = {
+            camera.name: cv2.VideoWriter(
+                str(folder / f"{camera.name}.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), session.fps, camera.size
+            )
+            for camera in session.rig
+        }
+        if not all(writer.isOpened() for writer in self._writers.values()):
+            raise MocapError("the recording cannot be written", path=folder, remedy="check the folder")
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for writer in self._writers.values():
+            writer.release()
+
+    def put(self, pictures: PictureSet) -> None:
+        """Write a set."""
+        for camera, shot in zip(self._rig, pictures.shots, strict=True):
+            width, height = camera.size
+            picture = np.zeros((height, width, 3), np.uint8) if shot is None else shot.picture
+            self._writers[camera.name].write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))

@@ -1,0 +1,116 @@
+"""Live outputs: lines of JSON, OSC to the byte, datagrams on this machine."""
+
+from __future__ import annotations
+
+import io
+import json
+import socket
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocap.data import LANDMARKS
+from mocap.errors import MocapError
+from mocap.pipeline.live.engine import FrameResult, PersonResult
+from mocap.pipeline.live.outputs import JsonLines, UdpJson, UdpOsc, osc_message, read_address
+from mocap.pose.follow import FramePose
+
+N = len(LANDMARKS)
+PLACES = np.arange(3.0 * N).reshape(N, 3) / 7
+POSE = FramePose(
+    row=3, state=np.zeros(5), landmarks=PLACES, information=np.zeros((5, 5)), spread=np.zeros((N, 3, 3)),
+    misfit=np.zeros(2), unexplained=0.0, blind_std=0.0, hidden_std=np.zeros(N), observed=np.arange(N) % 2 == 0,
+    log_likelihood=-1.0, evidence=-2.0, ess_share=0.5,
+)  # fmt: skip
+FOLLOWED = PersonResult(2, np.array([0.5, -0.25, 1.0]), 1.7654, POSE, np.linspace(0.01, 0.02, N))
+RESULT = FrameResult(41, 12.34567, 0.0421, 6, (FOLLOWED, PersonResult(3, np.array([1.0, 2.0, 0.9]))))
+
+
+def test_a_line_of_json_says_who_is_where() -> None:
+    stream = io.StringIO()
+    sink = JsonLines(stream, is_closed=False)
+    sink.put(RESULT)
+    sink.put(replace(RESULT, persons=()))
+    sink.close()
+    first, second = (json.loads(line) for line in stream.getvalue().splitlines())
+    assert (first["frame"], first["time_s"], first["latency_ms"], first["n_cameras"]) == (
+        41,
+        12.3457,
+        42.1,
+        6,
+    )
+    followed, looked_at = first["persons"]
+    assert (followed["person"], followed["height_m"], followed["xyz_m"]) == (2, 1.765, [0.5, -0.25, 1.0])
+    assert list(followed["landmarks_m"]) == list(LANDMARKS)
+    assert followed["landmarks_m"][LANDMARKS[4]] == np.round(PLACES[4], 4).tolist()
+    assert followed["observed"][LANDMARKS[1]] is False
+    assert followed["deviation_m"][LANDMARKS[-1]] == 0.02
+    assert looked_at == {"person": 3, "xyz_m": [1.0, 2.0, 0.9], "height_m": None}
+    assert second["persons"] == []
+
+
+def test_what_is_not_known_is_null() -> None:
+    unknown = replace(FOLLOWED, pose=replace(POSE, landmarks=np.full((N, 3), np.nan)))
+    stream = io.StringIO()
+    JsonLines(stream).put(replace(RESULT, persons=(unknown,)))
+    (person,) = json.loads(stream.getvalue())["persons"]
+    assert person["landmarks_m"][LANDMARKS[0]] == [None] * 3
+
+
+def test_an_osc_message_to_the_byte() -> None:
+    """OSC 1.0: strings end with zeros up to a multiple of four, numbers are big-endian."""
+    assert osc_message("/ab", 1.0, -2.5) == b"/ab\0,ff\0" + bytes.fromhex("3f800000c0200000")
+    assert osc_message("/abc") == b"/abc\0\0\0\0,\0\0\0"
+
+
+@pytest.fixture
+def receiver():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.bind(("127.0.0.1", 0))
+        own.settimeout(5.0)
+        yield own
+
+
+def test_datagrams_of_json_reach_this_machine(receiver: socket.socket) -> None:
+    sink = UdpJson(read_address(str(receiver.getsockname()[1]), "--udp"))
+    sink.put(RESULT)
+    assert json.loads(receiver.recv(65536))["frame"] == 41
+    sink.close()
+
+
+def test_osc_sends_a_bundle_of_every_person_with_a_pose(receiver: socket.socket) -> None:
+    sink = UdpOsc(receiver.getsockname())
+    sink.put(RESULT)
+    data = receiver.recv(65536)
+    assert data[:16] == b"#bundle\0" + struct.pack(">Q", 1)
+    at, messages = 16, []
+    while at < len(data):
+        (size,) = struct.unpack_from(">i", data, at)
+        messages.append(data[at + 4 : at + 4 + size])
+        at += 4 + size
+    assert len(messages) == N
+    assert messages[2] == osc_message(f"/mocap/2/{LANDMARKS[2]}", *PLACES[2])
+    receiver.settimeout(0.1)
+    with pytest.raises(TimeoutError):
+        receiver.recv(10)  # the person without a pose sends nothing
+    sink.close()
+
+
+def test_nobody_has_to_listen() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gone:
+        gone.bind(("127.0.0.1", 0))
+        address = gone.getsockname()
+    sink = UdpJson(address)
+    for _ in range(3):
+        sink.put(RESULT)
+    sink.close()
+
+
+def test_addresses() -> None:
+    assert read_address("9000", "--udp") == ("127.0.0.1", 9000)
+    assert read_address("192.168.0.7:39539", "--osc") == ("192.168.0.7", 39539)
+    for wrong in ("", "host", "host:", "0", "70000", "a:b"):
+        with pytest.raises(MocapError, match="--udp"):
+            read_address(wrong, "--udp")
