@@ -243,6 +243,9 @@ class OutputConfig(_Section):
     report_frames: int = Field(default=3, ge=1, le=12)
     """Frames shown as pictures in the report."""
     report_cameras: int = Field(default=4, ge=1, le=16)
+    keep: Literal["all", "masks", "nothing"] = "all"
+    """What of the store a finished run keeps: `masks` = all but hulls and the owners of their voxels, `nothing` = no
+    product. What is not kept cannot be reused, exported, viewed or reported again; results do not depend on it."""
 
 
 class Config(_Section):

@@ -40,6 +40,8 @@ from mocap.pipeline.report_data import write_run_report
 from mocap.pipeline.stage import Job, StageReport, is_done
 from mocap.pipeline.walk import run_together, walks
 from mocap.portable import peak_memory_mb
+from mocap.products import hulls as hulls_product
+from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
 from mocap.products.poses import stored_poses
@@ -166,8 +168,23 @@ def _publish(
             outputs_s=time.perf_counter() - started,
             peak_memory_mb=peak_memory_mb(),
         )
+        if is_whole:
+            keep = job.config.output.keep
+            kept = {p: key for p, key in record.product_keys.items() if p not in _not_kept(found, keep)}
+            record = replace(record, product_keys=kept)
         atomic_text(folder / RUN_FILE, json.dumps(record_to_json(record), indent=1) + "\n")
+    if is_whole:
+        for product in _not_kept(found, job.config.output.keep):
+            job.store.remove(product)
     return RunResult(record, out, found)
+
+
+def _not_kept(found: Found, keep: str) -> tuple[str, ...]:
+    """The products that a finished run does not leave behind.  keep : as in the configuration."""
+    if keep == "masks":
+        return (hulls_product.PRODUCT, owners_product.PRODUCT) if found.hulls is not None else ()
+    products = [product for stage in stages_until(found.kind, OUTPUTS) for product in stage.products]
+    return tuple(products) if keep == "nothing" else ()
 
 
 def _record(

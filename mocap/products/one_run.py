@@ -34,9 +34,9 @@ def _check_products(out: Path, keys: dict[str, str], needed: Sequence[str]) -> N
     missing = [product for product in needed if product not in keys]
     if missing:
         raise MocapError(
-            f"the run ended before there was a product {missing[0]}",
+            f"the run ended before there was a product {missing[0]}, or did not keep it",
             path=out,
-            remedy="finish it with `mocap run SESSION -o OUT --resume`",
+            remedy="finish it with `mocap run SESSION -o OUT --resume --set output.keep=all`",
         )
     store = StageStore(out / "store.zarr")
     others = [product for product, key in keys.items() if not store.is_complete(product, key)]

@@ -226,6 +226,25 @@ def test_products_of_a_run_before_are_not_exported_after_a_shorter_one(
         export_run(out, tmp_path / "voxels", what="voxels")
 
 
+@pytest.mark.parametrize(
+    ("keep", "kept"),
+    [("masks", {"segment", "occluders", "track", "pose"}), ("nothing", set())],
+)
+def test_results_do_not_depend_on_what_is_kept(
+    session: Path, finished: Path, tmp_path: Path, keep: str, kept: set[str]
+) -> None:
+    out = tmp_path / "out"
+    run_session(session, out, config=config("bvh", "report", more=(f"output.keep={keep}",)))
+    for name in ("landmarks.csv", "tracks.csv", "pose.npz"):
+        assert (out / name).read_bytes() == (finished / name).read_bytes()
+    assert (out / "report.html").exists()
+    stored = {p.name for p in (out / "store.zarr").iterdir() if p.is_dir()}
+    assert stored == kept
+    assert set(json.loads((out / "run.json").read_text())["product_keys"]) == kept
+    with pytest.raises(MocapError, match="product carve, or did not keep it"):
+        export_run(out, tmp_path / "voxels", what="voxels")
+
+
 # --- one command at a time ---
 
 

@@ -44,16 +44,20 @@ from mocap.products.masks import PRODUCT, mask_row, masks_from_arrays
 _QUALITY_FRAMES = 40  # looked at closely for the quality of the masks
 
 
-def learn_backgrounds(session: Session, config: SegmentationConfig, warnings: list[str]) -> list[Background]:
+def learn_backgrounds(
+    session: Session,
+    config: SegmentationConfig,
+    warnings: list[str],
+    each: Callable[..., Iterable[Any]] = map,
+) -> list[Background]:
     """One background per camera, from background/, the first frames, or the temporal median.
 
+    each : `map`, perhaps over threads.
     Raises MocapError when there is nothing to learn from, saying how to help.
     """
-    backgrounds = []
-    for camera in session.rig:
-        background = _background_of(camera, session, config)
+    backgrounds: list[Background] = list(each(lambda c: _background_of(c, session, config), session.rig))
+    for camera, background in zip(session.rig, backgrounds, strict=True):
         warnings += [f"camera {camera.name}: {w}" for w in background.warnings]
-        backgrounds.append(background)
     median = [c.name for c in session.rig if _background_source(c, session, config) == "median"]
     if median:
         warnings.append(
@@ -120,7 +124,7 @@ def _start(job: Job) -> _Segmenting:
     if session.mask_sources:
         return _Segmenting((), (), job.each)
     warnings: list[str] = []
-    backgrounds = learn_backgrounds(session, settings, warnings)
+    backgrounds = learn_backgrounds(session, settings, warnings, job.each)
     foreground = ForegroundSettings(
         method=settings.method, hold_frames=max(1, round(settings.hold_s * session.fps))
     )
