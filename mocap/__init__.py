@@ -8,10 +8,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from mocap.compiling import find_cache_folder
-
-find_cache_folder()
-
 _HOMES = {
     # containers
     "Camera": "mocap.data",

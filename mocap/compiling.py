@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -53,28 +51,3 @@ def compilation_shown(progress: Progress) -> Iterator[CompiledKernels]:
         event.unregister("numba:compile", listener)
         if compiled.n:
             progress(COMPILING, compiled.n, compiled.n)
-
-
-def find_cache_folder() -> None:
-    """Give numba a folder where what it compiles can be kept, before it is imported.
-
-    It keeps compiled kernels beside the source or in the user's cache folder. Where neither can be written it fails;
-    then they go to a folder of this user among the temporary files, which the next command finds again.
-    """
-    if os.environ.get("NUMBA_CACHE_DIR") or _is_writable(Path(__file__).parent) or _is_writable(Path.home()):
-        return
-    import tempfile
-
-    user = getattr(os, "getuid", lambda: os.environ.get("USERNAME", "user"))()
-    folder = Path(tempfile.gettempdir()) / f"mocap-kernels-{user}"
-    with suppress(OSError):
-        folder.mkdir(mode=0o700, exist_ok=True)
-        # What lies there is executed: a folder that somebody else has put there is none of ours.
-        if not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid():
-            os.environ["NUMBA_CACHE_DIR"] = str(folder)
-            return
-    os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp(prefix="mocap-kernels-")
-
-
-def _is_writable(folder: Path) -> bool:
-    return folder.is_dir() and os.access(folder, os.W_OK)
