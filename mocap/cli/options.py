@@ -50,7 +50,9 @@ ExpectedOption = Annotated[
 FilterOption = Annotated[str | None, typer.Option("--filter", help="Pose filter; see --list-filters.")]
 ObservationOption = Annotated[
     str | None,
-    typer.Option("--observation", help="voxels, markers, keypoints or auto (by what the session has)."),
+    typer.Option(
+        "--observation", help="voxels, markers, keypoints, fused or auto (by what the session has)."
+    ),
 ]
 
 

@@ -127,7 +127,7 @@ def _proposals(P_a: Array, P_b: Array, a: Array, b: Array, max_error_px: float) 
     if not len(a) or not len(b):
         return np.zeros((0, 3))
     # A point that both see within the error lies within twice that of both epipolar lines when the cameras are alike.
-    F = _fundamental(P_a, P_b)
+    F = fundamental_of_projections(P_a, P_b)
     in_b = epipolar_lines(F, a) @ np.column_stack([b, np.ones(len(b))]).T
     in_a = epipolar_lines(F.T, b) @ np.column_stack([a, np.ones(len(a))]).T
     q, r = np.nonzero(
@@ -142,7 +142,7 @@ def _proposals(P_a: Array, P_b: Array, a: Array, b: Array, max_error_px: float) 
     return points[ok]
 
 
-def _fundamental(P_a: Array, P_b: Array) -> Array:
+def fundamental_of_projections(P_a: Array, P_b: Array) -> Array:
     """F (3, 3) with x_b^T F x_a = 0 from two projection matrices; zeros when their centres coincide.
 
     Source: Hartley and Zisserman, Multiple View Geometry, Eq. 9.1.

@@ -9,6 +9,7 @@ from mocap.pipeline.config import Config
 from mocap.pipeline.stage import Stage
 from mocap.pipeline.stages.carve import CARVE
 from mocap.pipeline.stages.detect import DETECT, labels_path
+from mocap.pipeline.stages.fused_pose import FUSED_POSE
 from mocap.pipeline.stages.keypoint_pose import KEYPOINT_POSE
 from mocap.pipeline.stages.keypoints import KEYPOINTS_STAGE
 from mocap.pipeline.stages.markers import MARKER_POSE
@@ -21,7 +22,10 @@ CHAINS: dict[str, tuple[Stage, ...]] = {
     "voxels": (SEGMENT, OCCLUDERS, CARVE, TRACK, POSE),
     "markers": (DETECT, MARKER_POSE),
     "keypoints": (KEYPOINTS_STAGE, KEYPOINT_POSE),
+    "fused": (KEYPOINTS_STAGE, SEGMENT, OCCLUDERS, CARVE, TRACK, FUSED_POSE),
 }
+# The chains that make a volume.
+WITH_VOLUMES = ("voxels", "fused")
 # The words that say where a run ends; the last one is after all stages.
 UNTIL = ("segment", "occluders", "carve", "track", "pose", "report")
 
@@ -33,20 +37,20 @@ def stages_until(kind: str, until: str) -> tuple[Stage, ...]:
 
 
 def observation_kind(session: Session, config: Config) -> str:
-    """`markers`, `voxels` or `keypoints`: what the configuration asks for, or what the session offers.
+    """A chain of CHAINS: what the configuration asks for, or what the session offers.
 
     Raises MocapError when the session has nothing for what is asked for.
     """
     kind = config.observation if config.observation != "auto" else _offered(session)
     has_pictures = bool(session.image_sources or session.mask_sources)
-    if kind == "voxels" and not has_pictures:
+    if kind in WITH_VOLUMES and not has_pictures:
         has = "marker detections" if session.detection_sources else "keypoints"
         raise MocapError(
             f"the session has {has} alone: there is no volume to work on",
             path=session.root,
             remedy=f"use --observation {has.split()[0].rstrip('s')}s, or add videos/, images/ or masks/",
         )
-    if kind == "keypoints" and not session.keypoint_sources:
+    if kind in ("keypoints", "fused") and not session.keypoint_sources:
         raise MocapError(
             "the session has no keypoints",
             path=session.root,

@@ -76,7 +76,7 @@ def check_volume(session: Session, config: Config) -> None:
 def check_flesh(session: Session, config: Config, kind: str) -> None:
     """Every part of the body holds a point of the table that voxels are compared with. Raises MocapError."""
     spacing_m = config.volume.voxel_size_m * config.pose.table_density
-    if kind != "voxels" or spacing_m < _FINE_M:
+    if kind in ("markers", "keypoints") or spacing_m < _FINE_M:
         return
     model = load_body_model(config.body_model("voxels"))
     height_m = config.body.height_m or model.height_m or session.person_height_m or DEFAULT_HEIGHT_M

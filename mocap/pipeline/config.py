@@ -251,9 +251,9 @@ class OutputConfig(_Section):
 class Config(_Section):
     """Everything that decides a result besides the input and the seed."""
 
-    observation: Literal["auto", "voxels", "markers", "keypoints"] = "auto"
-    """What poses are found from; `auto` = markers in a session that has detections/, keypoints in one that has nothing
-    else, else voxels."""
+    observation: Literal["auto", "voxels", "markers", "keypoints", "fused"] = "auto"
+    """What poses are found from; fused = voxels and keypoints together; `auto` = markers in a session that has
+    detections/, keypoints in one that has nothing else, else voxels."""
     segmentation: SegmentationConfig = SegmentationConfig()
     volume: VolumeConfig = VolumeConfig()
     tracking: TrackingConfig = TrackingConfig()

@@ -100,8 +100,8 @@ class Found:
 
     @property
     def hulls(self) -> StageStore | None:
-        """The store, where it holds hulls: not in a run on markers."""
-        return self.store if self.kind == "voxels" else None
+        """The store, where it holds hulls: not in a run on markers or keypoints alone."""
+        return None if self.kind in ("markers", "keypoints") else self.store
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,7 +124,11 @@ def _observation_words(record: RunRecord) -> list[tuple[str, str]]:
 def _filter_words(record: RunRecord) -> str:
     pose = record.config.pose
     text = f"{pose.filter}, {pose.n_layers} layers of {pose.n_particles} particles"
-    what = {"markers": "the detections", "keypoints": "the keypoints"}.get(record.kind, "the hull's surface")
+    what = {
+        "markers": "the detections",
+        "keypoints": "the keypoints",
+        "fused": "hull and keypoints",
+    }.get(record.kind, "the hull's surface")
     if pose.refine:
         text += f", refined on {what}"
     return text

@@ -17,7 +17,7 @@ from mocap.errors import MocapError
 from mocap.io._files import atomic_text
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
-from mocap.pipeline.chains import UNTIL, observation_kind, stages_until
+from mocap.pipeline.chains import UNTIL, WITH_VOLUMES, observation_kind, stages_until
 from mocap.pipeline.checks import check_config, check_flesh, check_out, check_truth, check_volume
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.inputs import FileHashes
@@ -84,7 +84,7 @@ def run_session(
     check_config(config, kind)
     out = Path(out)
     check_out(out, session)
-    if kind == "voxels" and until != "segment":
+    if kind in WITH_VOLUMES and until != "segment":
         check_volume(session, config)
     if until in _WITH_POSES:
         check_flesh(session, config, kind)

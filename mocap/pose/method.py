@@ -456,6 +456,13 @@ class KeypointPoseSettings(_Strict):
     """A keypoint this near to a landmark, at rest, shows it."""
     worth: float = 0.1
     """What a residual is worth as evidence: views of one keypoint err alike, and for many frames."""
+    fused_worth: float = 1.0
+    """The same beside volumes, with `fused_noise`: a limb on which views agree outweighs a volume that lacks it, while
+    small differences, offsets of a tool perhaps, weigh as little as alone."""
+    fused_noise: float = 3.0
+    """Factor on the deviation of keypoints beside volumes."""
+    elsewhere_m: float = 0.1
+    """Keypoints that pull a landmark so far from where volume and keypoints together hold it are followed there too."""
     fit_frames: int = 40
     """Frames, spread over the clip, that segment lengths and offsets are fitted to."""
     offset_std_m: float = 0.015

@@ -304,6 +304,7 @@ def _sized(
     fit = fit_size(problems, states, is_head_seen=height.is_measured)
     sized = tools.resized(fit.factor)
     prepared = clip.observation.prepare(first.frame)
-    state = first.state if prepared is None else sized.frame(prepared).refined(first.state)
+    again = clip.observation.with_tools(sized)
+    state = first.state if prepared is None else again.evidence(prepared).refined(first.state)
     height = replace(height, height_m=sized.body.height_m)
     return sized, height, replace(first, state=state)

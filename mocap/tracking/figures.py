@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from mocap.arrays import Array
 from mocap.data.keypoints import KEYPOINTS, N_KEYPOINTS
-from mocap.geometry.triangulation import triangulate_agreeing
+from mocap.geometry.triangulation import fundamental_of_projections, triangulate_agreeing
 
 _FAR_M = 10.0
 _SEGMENTS = [
@@ -24,6 +24,7 @@ _SEGMENTS = [
     for side in ("left", "right")
     for a, b in (("shoulder", "hip"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
 ]
+_TRUNK = [KEYPOINTS.index(f"{side}_{name}") for name in ("shoulder", "hip") for side in ("left", "right")]
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,10 @@ class FigureSettings:
     """Persons who were not seen by two views for so long are gone; who comes back is a new one."""
     min_s: float = 0.4
     """Persons seen by two views for a shorter time, and for less than half of a clip, are none."""
+    place_gate_m: float = 0.5
+    """Distance of a figure's trunk from a person's volume from which it is another's."""
+    clear_m: float = 0.15
+    """By how much another person's volume must lie further off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +90,10 @@ class FigureViews:
 
     P: Array
     focal: Array
+
+    def fundamental(self, a: int, b: int) -> Array:
+        """F (3, 3) with x_b^T F x_a = 0 for undistorted pixels of cameras a and b."""
+        return fundamental_of_projections(self.P[a], self.P[b])
 
     def distance_m(self, points: Array, figure: View2D) -> Array:
         """Distance (K,) m of a figure's keypoints from the images of points (K, 3), at the points' depth; NaN where
@@ -182,7 +191,7 @@ def _update(
 ) -> None:
     """The person's points of a frame; points on which no views agree move along with the others."""
     own = [figures[i] for i in person.views[frame] if i >= 0]
-    points = _points(own, views, settings, person.latest)
+    points = points_of_figures(own, views, settings, person.latest)
     known = np.asarray(np.isfinite(points).all(axis=1))
     if int(known.sum()) < settings.min_points:
         return
@@ -192,7 +201,7 @@ def _update(
     person.latest = np.where(known[:, None], points, person.latest + np.nan_to_num(shift))
 
 
-def _points(
+def points_of_figures(
     figures: Sequence[View2D], views: FigureViews, settings: FigureSettings, near: Array | None = None
 ) -> Array:
     """The points (K, 3) m on which figures of different views agree."""
@@ -237,7 +246,7 @@ def _grown(
     settings: FigureSettings,
 ) -> tuple[float, list[int]] | None:
     """Two figures and all that agree with them, with their median distance; None when they are not of a person."""
-    points = _points([figures[i], figures[j]], views, settings)
+    points = points_of_figures([figures[i], figures[j]], views, settings)
     if np.isfinite(points).all(axis=1).sum() < settings.min_points or not is_person(points, settings):
         return None
     group, total = [i, j], 0.0
@@ -254,6 +263,38 @@ def _grown(
             group.append(k)
             total += distance
     return total / len(group), group
+
+
+def figures_of_places(
+    figures: Sequence[View2D], places: Array, views: FigureViews, settings: FigureSettings
+) -> list[list[int]]:
+    """The figures of each of several persons who are at places (P, 3) m: P lists, one figure of a view at most.
+
+    A figure belongs to a place that lies among its points; one that another place fits hardly worse is left out.
+    """
+    given: list[list[int]] = [[] for _ in places]
+    for c in range(len(views.P)):
+        own = [i for i, f in enumerate(figures) if f.camera == c]
+        if not own or not len(places):
+            continue
+        cost = np.array([[_from_trunk_m(place, figures[i], views) for i in own] for place in places])
+        for a, b in zip(*linear_sum_assignment(cost), strict=True):
+            others = np.delete(cost[:, b], a)
+            is_clear = not len(others) or others.min() > cost[a, b] + settings.clear_m
+            if cost[a, b] <= settings.place_gate_m and is_clear:
+                given[a].append(own[b])
+    return given
+
+
+def _from_trunk_m(place: Array, figure: View2D, views: FigureViews) -> float:
+    """Distance of a figure's trunk from the image of a place (3,) m, at its depth, m."""
+    trunk = figure.uv[_TRUNK]
+    seen = trunk[np.isfinite(trunk).all(axis=1)]
+    x = views.P[figure.camera] @ np.append(place, 1.0)
+    if len(seen) < 2 or not x[2] > 0:
+        return _FAR_M
+    distance = float(np.linalg.norm(seen.mean(axis=0) - x[:2] / x[2]) * x[2] / views.focal[figure.camera])
+    return min(distance, _FAR_M)
 
 
 def is_person(points: Array, settings: FigureSettings) -> bool:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import load_body_model, scale_body
 from mocap.body.keypoints import place_keypoints
-from mocap.data import Tracks
+from mocap.data import CameraRig, Tracks
 from mocap.data.keypoints import N_KEYPOINTS
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.likelihood.keypoints import KeypointViews
-from mocap.likelihood.markers import marker_views, undistort
+from mocap.likelihood.markers import MarkerViews, marker_views, undistort
 from mocap.pipeline.config import Config
 from mocap.pipeline.pose_settings import pose_settings
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
@@ -30,7 +32,7 @@ from mocap.products import tracks as tracks_product
 from mocap.products.keypoints import persons_in
 from mocap.products.poses import store_poses
 from mocap.products.tracks import stored_tracks, track_row
-from mocap.tracking.figures import FigureSettings, deviation_px
+from mocap.tracking.figures import FigureSettings, View2D, deviation_px
 
 
 def keypoint_pose_stage(job: Job) -> None:
@@ -75,10 +77,7 @@ def person_tools(config: Config, fps: float, height_m: float) -> PersonTools:
 def views_of_person(session: Session, config: Config, store: StageStore, person: int) -> ViewsOf:
     """frame -> what the cameras say of a person, with the deviation of every keypoint at the person's distance."""
     reader = store.reader(keypoints_product.PRODUCT)
-    views, settings = marker_views(session.rig), FigureSettings()
-    body = scale_body(load_body_model(config.body_model("keypoints")), 1.0)
-    slack_m = place_keypoints(body).slack_m
-    C = len(session.rig)
+    views, slack_m = marker_views(session.rig), keypoint_slack_m(config)
 
     @lru_cache(maxsize=256)
     def views_of(frame: int) -> KeypointViews | None:
@@ -87,16 +86,36 @@ def views_of_person(session: Session, config: Config, store: StageStore, person:
         if not len(at):
             return None
         middle = np.nanmean(arrays["points"][at[0]], axis=0)
-        uv, noise = np.full((C, N_KEYPOINTS, 2), np.nan), np.ones((C, N_KEYPOINTS))
-        for i in np.flatnonzero(arrays["person"] == person):
-            c = int(arrays["camera"][i])
-            depth, focal = float(views.P[c, 2, :3] @ middle + views.P[c, 2, 3]), float(views.focal[c])
-            uv[c] = undistort(session.rig[c], arrays["uv"][i])
-            own = deviation_px(settings, arrays["confidence"][i], depth, focal)
-            noise[c] = np.hypot(own, slack_m * focal / max(depth, 0.1))
-        return KeypointViews(views.P, uv, noise)
+        own = [figure_at(arrays, int(i), session.rig) for i in np.flatnonzero(arrays["person"] == person)]
+        return person_views(own, middle, views, slack_m)
 
     return views_of
+
+
+def keypoint_slack_m(config: Config) -> NDArray[np.float64]:
+    """How far every keypoint moves against its segment, (K,) m."""
+    body = scale_body(load_body_model(config.body_model("keypoints")), 1.0)
+    return place_keypoints(body).slack_m
+
+
+def figure_at(arrays: Mapping[str, NDArray[Any]], i: int, rig: CameraRig) -> View2D:
+    """A figure of a frame of the product, undistorted."""
+    c = int(arrays["camera"][i])
+    return View2D(c, undistort(rig[c], arrays["uv"][i]), arrays["confidence"][i])
+
+
+def person_views(
+    figures: Sequence[View2D], place: NDArray[np.float64], views: MarkerViews, slack_m: NDArray[np.float64]
+) -> KeypointViews:
+    """What the figures of a person at a place (3,) m say, with the deviation of every keypoint there."""
+    uv, noise = np.full((views.n_views, N_KEYPOINTS, 2), np.nan), np.ones((views.n_views, N_KEYPOINTS))
+    for f in figures:
+        c = f.camera
+        depth, focal = float(views.P[c, 2, :3] @ place + views.P[c, 2, 3]), float(views.focal[c])
+        uv[c] = f.uv
+        own = deviation_px(FigureSettings(), f.confidence, depth, focal)
+        noise[c] = np.hypot(own, slack_m * focal / max(depth, 0.1))
+    return KeypointViews(views.P, uv, noise)
 
 
 def _tracks_of(results: list[PersonPoses], fps: float) -> Tracks:

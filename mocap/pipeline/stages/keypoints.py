@@ -10,7 +10,11 @@ from mocap.io.keypoints import read_keypoints
 from mocap.likelihood.markers import MarkerViews, marker_views, undistort
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.products.keypoints import PRODUCT, keypoint_row, persons_in
+from mocap.tracking.figure_faults import Clip, FaultSettings, find_figure_faults, without_pictures
 from mocap.tracking.figures import FigureSettings, FigureViews, View2D, persons_of_figures
+
+# A camera that shows nobody in so many frames adds little, or its files are of another clip.
+_FEW_FIGURES = 0.6
 
 
 def keypoint_stage(job: Job) -> None:
@@ -21,8 +25,15 @@ def keypoint_stage(job: Job) -> None:
     session, views = job.session, marker_views(job.session.rig)
     read = read_keypoints(session.keypoint_sources, session.rig, session.frames)
     figures = {frame: undistorted(read[frame], session.rig) for frame in session.frames}
-    persons = persons_of_figures(figures, figure_views(views), session.fps, FigureSettings())
-    with job.writer(PRODUCT) as out:
+    settings = FigureSettings()
+    persons = persons_of_figures(figures, figure_views(views), session.fps, settings)
+    clip = Clip(
+        figures, persons, figure_views(views), session.rig.names, session.fps, settings, FaultSettings()
+    )
+    faults = find_figure_faults(clip)
+    persons = without_pictures(persons, faults)
+    attrs = {"faults": [f"{fault.message}. Remedy: {fault.remedy}" for fault in faults]}
+    with job.writer(PRODUCT, attrs) as out:
         for i, frame in enumerate(session.frames):
             own = figures[frame]
             of = np.zeros(len(own), dtype=np.int64)
@@ -61,7 +72,13 @@ def keypoint_report(job: Job) -> StageReport:
         "figures_per_picture": round(float(n_figures.sum() / max(1, len(rows) * len(session.rig))), 2),
         "figures_of_persons_percent": round(100.0 * float(n_used.sum() / max(1.0, n_figures.sum())), 1),
     }
-    return StageReport((), numbers)
+    seldom = n_figures < _FEW_FIGURES * len(rows)
+    warnings = [
+        f"camera {name}: keypoints/ has somebody in {100 * n_figures[c] / len(rows):.0f} % of the frames only"
+        for c, name in enumerate(session.rig.names)
+        if seldom[c]
+    ]
+    return StageReport((*reader.attrs["faults"], *warnings), numbers)
 
 
 KEYPOINTS_STAGE = Stage(

@@ -25,7 +25,7 @@ from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.pose.deviation import widened
 from mocap.pose.person import VolumeClip, follow_person
 from mocap.pose.result import PersonPoses, motion_numbers
-from mocap.pose.volume import HullOf, PersonHull, VolumeObservation, estimate_height
+from mocap.pose.volume import HullOf, PersonHull, VolumeObservation, VolumeTools, estimate_height
 from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products import owners as owners_product
@@ -58,6 +58,15 @@ def pose_stage(job: Job) -> None:
     store_poses(job.store, job.key, job.config.body_model("voxels"), results)
 
 
+# Tools, hulls and number of a person -> what is seen of it.
+ObservationOf = Callable[[VolumeTools, HullOf, int], VolumeObservation]
+
+
+def volumes_alone(tools: VolumeTools, hull_of: HullOf, person: int) -> VolumeObservation:
+    """What is seen of a person: its hulls."""
+    return VolumeObservation(tools, hull_of)
+
+
 def estimate_poses(
     session: Session,
     config: Config,
@@ -67,6 +76,7 @@ def estimate_poses(
     seed: int,
     n_threads: int,
     progress: Progress,
+    observation_of: ObservationOf = volumes_alone,
 ) -> list[PersonPoses]:
     """Poses of every tracked person, one filter each, from the products of the earlier stages in the store."""
     grid, rig_offset = stored_grid(store), rig_offset_m(store)
@@ -100,7 +110,7 @@ def estimate_poses(
             config.method,
         )
         poses = follow_person(
-            VolumeClip(person, own.frame, own.xyz, VolumeObservation(tools, hull_of)),
+            VolumeClip(person, own.frame, own.xyz, observation_of(tools, hull_of, person)),
             height,
             seed=seed,
             is_size_fitted=given is None and config.body.sizing == "poses" and config.pose.refine,

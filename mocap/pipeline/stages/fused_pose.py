@@ -1,0 +1,81 @@
+"""Pose from volumes and keypoints together: from hulls, tracks and figures to poses in the store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+from mocap.data import Tracks
+from mocap.io.session import Session
+from mocap.io.store import StageStore
+from mocap.likelihood.keypoints import KeypointViews
+from mocap.likelihood.markers import marker_views
+from mocap.pipeline.config import Config
+from mocap.pipeline.stage import ClipWork, Job, Stage
+from mocap.pipeline.stages.keypoint_pose import figure_at, keypoint_slack_m, person_views
+from mocap.pipeline.stages.keypoints import figure_views
+from mocap.pipeline.stages.pose import estimate_poses, poses_report
+from mocap.pose.fused import FusedObservation, ViewsOf
+from mocap.pose.volume import HullOf, VolumeObservation, VolumeTools
+from mocap.products import keypoints as keypoints_product
+from mocap.products import poses as poses_product
+from mocap.products.poses import store_poses
+from mocap.products.tracks import stored_tracks
+from mocap.tracking.figures import FigureSettings, figures_of_places
+
+
+def fused_pose_stage(job: Job) -> None:
+    """Poses of every tracked person from its hulls and its keypoints into the store."""
+    tracks = stored_tracks(job.store, job.session.fps)
+    views_of = views_of_tracks(job.session, job.config, job.store, tracks)
+
+    def both(tools: VolumeTools, hull_of: HullOf, person: int) -> VolumeObservation:
+        return FusedObservation(tools, hull_of, views_of=views_of(person))
+
+    results = estimate_poses(
+        job.session,
+        job.config,
+        job.store,
+        tracks,
+        seed=job.seed,
+        n_threads=job.n_threads,
+        progress=job.progress,
+        observation_of=both,
+    )
+    store_poses(job.store, job.key, job.config.body_model("voxels"), results)
+
+
+def views_of_tracks(
+    session: Session, config: Config, store: StageStore, tracks: Tracks
+) -> Callable[[int], ViewsOf]:
+    """person -> frame -> what the cameras' keypoints say of it: figures go to the track that they surround."""
+    reader, views = store.reader(keypoints_product.PRODUCT), marker_views(session.rig)
+    slack_m = keypoint_slack_m(config)
+
+    @lru_cache(maxsize=64)
+    def of_frame(frame: int) -> dict[int, KeypointViews]:
+        arrays = reader.read(frame)
+        figures = [figure_at(arrays, i, session.rig) for i in range(len(arrays["camera"]))]
+        here = tracks.frame == frame
+        persons, places = tracks.person[here].tolist(), tracks.xyz[here]
+        given = figures_of_places(figures, places, figure_views(views), FigureSettings())
+        return {
+            person: person_views([figures[i] for i in own], place, views, slack_m)
+            for person, place, own in zip(persons, places, given, strict=True)
+            if own
+        }
+
+    return lambda person: lambda frame: of_frame(frame).get(person)
+
+
+FUSED_POSE = Stage(
+    name="pose",
+    until="pose",
+    products=(poses_product.PRODUCT,),
+    work=ClipWork(fused_pose_stage),
+    report=poses_report,
+    needs=("track", "keypoints"),
+    sections=("body", "likelihood", "pose", "method"),
+    facts=("fps", "person_height_m"),
+    is_random=lambda config: True,
+)

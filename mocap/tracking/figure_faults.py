@@ -1,0 +1,303 @@
+"""Faults of keypoints, told from geometry: exchanged cameras, other frame rates, mirrored names, pictures of people.
+
+Cameras that agree on a person say where its points are; what a camera shows of it is compared with that as it stands,
+and as it would be with another camera's file, another frame rate or left and right exchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+
+from mocap.arrays import Array
+from mocap.data.keypoints import KEYPOINTS, MIRRORED
+from mocap.geometry.epipolar import symmetric_epipolar_distance
+from mocap.tracking.figures import FigurePerson, FigureSettings, FigureViews, View2D, points_of_figures
+
+Figures = Mapping[int, Sequence[View2D]]
+
+_ROW = {name: k for k, name in enumerate(KEYPOINTS)}
+# Ratios of the usual frame rates: 15, 24, 25, 30, 50 and 60 per second.
+_RATES = (0.5, 2.0, 0.8, 1.25, 5 / 6, 1.2)
+
+
+@dataclass(frozen=True)
+class FaultSettings:
+    """When keypoints count as wrong. Chosen on `tests/keypoint_world.py` with the noise of a network."""
+
+    n_frames: int = 40
+    """Frames, spread over the clip, that are looked at."""
+    least_frames: int = 5
+    """With fewer frames that tell, nothing is said."""
+    apart_m: float = 0.06
+    """Median distance of a camera's keypoints from where the others see the person, from which it is looked into;
+    MediaPipe's are 20 to 30 mm off."""
+    strange_m: float = 0.15
+    """The same from which a camera does not agree, whatever the reason."""
+    better: float = 0.5
+    """Another explanation must bring it down to this share."""
+    most_cameras: int = 8
+    """All orders of so many cameras are tried."""
+    epipolar_px: float = 12.0
+    """Median distance of keypoints from the epipolar lines of another camera's, from which two do not agree."""
+    lags: int = 15
+    """Frames that a camera may be early or late."""
+    backward_share: float = 0.7
+    """Share of the frames in which faces look away from chests, from which left and right are exchanged."""
+    flat_m: float = 0.02
+    """Deviation of a picture's points from their plane; somebody's who stands lie 35 mm off, by nose and toes."""
+    still_m: float = 0.02
+    """What a picture's points move over a clip: the noise of keypoints."""
+
+
+@dataclass(frozen=True)
+class FigureFault:
+    """What is wrong.  camera : its index, None = all or none of them.  person : that is none, by its number."""
+
+    message: str
+    remedy: str
+    camera: int | None = None
+    person: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """The figures of a clip, and what was made of them.  names : of the cameras."""
+
+    figures: Figures
+    persons: Sequence[FigurePerson]
+    views: FigureViews
+    names: tuple[str, ...]
+    fps: float
+    figure_settings: FigureSettings
+    settings: FaultSettings
+
+    def some_frames(self) -> list[int]:
+        """Frames spread over the clip."""
+        frames = sorted(self.figures)
+        step = max(1, -(-len(frames) // self.settings.n_frames))
+        return frames[::step]
+
+    def of_camera(self, frame: int, camera: int) -> list[View2D]:
+        """The figures of one picture."""
+        return [f for f in self.figures.get(frame, ()) if f.camera == camera]
+
+
+def find_figure_faults(clip: Clip) -> list[FigureFault]:
+    """What geometry says against the keypoints of a clip."""
+    exchanged = _exchanged(clip)
+    if exchanged:
+        return exchanged
+    found = []
+    for camera in range(len(clip.views.P)):
+        fault = _of_camera(clip, camera)
+        found += [fault] if fault is not None else []
+    return found + _mirrored(clip) + _pictures(clip)
+
+
+def without_pictures(persons: Sequence[FigurePerson], faults: Sequence[FigureFault]) -> list[FigurePerson]:
+    """The persons that are no pictures, numbered anew from 1."""
+    kept = [p for p in persons if p.number not in {fault.person for fault in faults}]
+    return [replace(p, number=n) for n, p in enumerate(kept, 1)]
+
+
+# --- exchanged cameras ---------------------------------------------------------------------------------------
+
+
+def _exchanged(clip: Clip) -> list[FigureFault]:
+    """Another order of the files under which the cameras agree, where they do not as they are."""
+    n, limit = len(clip.names), clip.settings.epipolar_px
+    if not 3 <= n <= clip.settings.most_cameras:
+        return []
+    score = _pair_scores(clip)
+    pairs = np.array([(a, b) for a in range(n) for b in range(a)])
+    orders = np.array(list(permutations(range(n))))
+    of_pairs = np.stack([score[orders[:, a], a, orders[:, b], b] for a, b in pairs], axis=1)
+    # A pair that nobody is seen by says nothing of any order; far is far.
+    totals = np.nan_to_num(np.minimum(of_pairs, 4 * limit), nan=limit).mean(axis=1)
+    as_it_is = totals[np.flatnonzero((orders == np.arange(n)).all(axis=1))[0]]
+    best = int(totals.argmin())
+    if totals[best] > limit or totals[best] > clip.settings.better * as_it_is:
+        return []
+    moved = [c for c in range(n) if orders[best, c] != c]
+    text = ", ".join(f"those of {clip.names[orders[best, c]]} fit camera {clip.names[c]}" for c in moved)
+    return [
+        FigureFault(
+            f"the keypoints of cameras {', '.join(clip.names[c] for c in moved)} are exchanged: {text}",
+            "give the files the names of their cameras, or say which is which in session.toml: [camera_map]",
+            moved[0],
+        )
+    ]
+
+
+def _pair_scores(clip: Clip) -> Array:
+    """Distance (C, C, C, C) px of the keypoints of file i, taken for camera a, from the epipolar lines of those of file
+    j, taken for camera b: the best pair of figures of a frame, the median over frames."""
+    n, frames = len(clip.names), clip.some_frames()[:: max(1, clip.settings.n_frames // 10)]
+    F = {(a, b): clip.views.fundamental(a, b) for a in range(n) for b in range(n) if a != b}
+    out = np.full((n, n, n, n), np.nan)
+    for i in range(n):
+        for j in range(i):
+            pairs = [
+                [(f.uv, g.uv) for f in clip.of_camera(frame, i) for g in clip.of_camera(frame, j)]
+                for frame in frames
+            ]
+            for (a, b), fundamental in F.items():
+                found = [min(_epipolar_px(fundamental, *pair) for pair in own) for own in pairs if own]
+                if len(found) >= min(clip.settings.least_frames, len(frames)):
+                    out[i, a, j, b] = out[j, b, i, a] = np.nanmedian(found)
+    return out
+
+
+def _epipolar_px(F: Array, a: Array, b: Array) -> float:
+    known = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    if known.sum() < 3:
+        return float("inf")
+    return float(np.median(np.sqrt(symmetric_epipolar_distance(F, a[known], b[known]))))
+
+
+# --- one camera against the others ---------------------------------------------------------------------------
+
+
+def _of_camera(clip: Clip, camera: int) -> FigureFault | None:
+    """What a camera's keypoints are that the others do not agree with."""
+    seen = _without(clip, camera)
+    if len(seen) < clip.settings.least_frames:
+        return None
+    own = _gap_m(clip, camera, seen, lambda frame: frame)
+    if not np.isfinite(own) or own <= clip.settings.apart_m:
+        return None
+    name = clip.names[camera]
+    mirrored = _gap_m(clip, camera, seen, lambda frame: frame, is_mirrored=True)
+    if mirrored <= clip.settings.better * own:
+        return FigureFault(
+            f"left and right are exchanged in the keypoints of camera {name}",
+            "exchange the names in its file; a mirrored picture has them exchanged",
+            camera,
+        )
+    lags = [k for k in range(-clip.settings.lags, clip.settings.lags + 1) if k]
+    tries = {f"late by {k} frames" if k > 0 else f"early by {-k} frames": _shift(k) for k in lags}
+    tries |= {f"at {rate:.3g} times the frame rate of the others": _scale(rate) for rate in _RATES}
+    gaps = {what: _gap_m(clip, camera, seen, at) for what, at in tries.items()}
+    what = min(gaps, key=gaps.__getitem__)
+    if gaps[what] <= clip.settings.better * own:
+        return FigureFault(
+            f"the keypoints of camera {name} are {what}",
+            "number its frames as those of the other cameras",
+            camera,
+        )
+    if own <= clip.settings.strange_m:
+        return None
+    return FigureFault(
+        f"the keypoints of camera {name} do not agree with those of the others: half of them lie further than "
+        f"{1000 * own:.0f} mm from where the others see the person",
+        "check that they are of this camera, clip and calibration, or leave the camera out (session.toml: cameras)",
+        camera,
+    )
+
+
+def _shift(k: int) -> Callable[[int], int]:
+    return lambda frame: frame + k
+
+
+def _scale(rate: float) -> Callable[[int], int]:
+    return lambda frame: round(frame * rate)
+
+
+def _without(clip: Clip, camera: int) -> dict[int, list[Array]]:
+    """Frame -> points (K, 3) m of the persons as the cameras but one see them."""
+    seen: dict[int, list[Array]] = {}
+    for frame in clip.some_frames():
+        for person in clip.persons:
+            chosen = person.views.get(frame)
+            if chosen is None:
+                continue
+            figures = [clip.figures[frame][i] for c, i in enumerate(chosen) if i >= 0 and c != camera]
+            points = points_of_figures(figures, clip.views, clip.figure_settings, person.points.get(frame))
+            if np.isfinite(points).all(axis=1).sum() >= clip.figure_settings.min_points:
+                seen.setdefault(frame, []).append(points)
+    return seen
+
+
+def _gap_m(
+    clip: Clip,
+    camera: int,
+    seen: Mapping[int, Sequence[Array]],
+    shown_at: Callable[[int], int],
+    *,
+    is_mirrored: bool = False,
+) -> float:
+    """Median over frames of the distance of a camera's nearest figure from a person, m; inf where few frames tell.
+
+    shown_at : frame of the others -> frame of this camera.
+    """
+    gaps = []
+    for frame, persons in seen.items():
+        figures = clip.of_camera(shown_at(frame), camera)
+        if is_mirrored:
+            figures = [replace(f, uv=f.uv[MIRRORED], confidence=f.confidence[MIRRORED]) for f in figures]
+        distances = [
+            np.nanmedian(clip.views.distance_m(p, f)) for p in persons for f in figures if _shares(p, f)
+        ]
+        if distances:
+            gaps.append(min(distances))
+    return float(np.median(gaps)) if len(gaps) >= min(clip.settings.least_frames, len(seen)) else float("inf")
+
+
+def _shares(points: Array, figure: View2D) -> bool:
+    return int((np.isfinite(points).all(axis=1) & np.isfinite(figure.uv).all(axis=1)).sum()) >= 3
+
+
+# --- persons -------------------------------------------------------------------------------------------------
+
+
+def _mirrored(clip: Clip) -> list[FigureFault]:
+    """Left and right exchanged everywhere: chests look away from the faces above them, and toes point backwards."""
+    signs = []
+    for person in clip.persons:
+        for points in person.points.values():
+            across = points[_ROW["left_hip"]] - points[_ROW["right_hip"]]
+            across = across + points[_ROW["left_shoulder"]] - points[_ROW["right_shoulder"]]
+            ahead = np.cross(across, [0.0, 0.0, 1.0])
+            face = points[_ROW["nose"]] - 0.5 * (points[_ROW["left_ear"]] + points[_ROW["right_ear"]])
+            feet = [points[_ROW[f"{s}_toe"]] - points[_ROW[f"{s}_heel"]] for s in ("left", "right")]
+            votes = [float(np.sign(ahead @ way)) for way in (face, *feet) if np.isfinite(ahead @ way)]
+            signs += [float(np.sign(sum(votes)))] if votes else []
+    if len(signs) < clip.settings.least_frames or np.mean(np.array(signs) < 0) < clip.settings.backward_share:
+        return []
+    return [
+        FigureFault(
+            "left and right seem exchanged in the keypoints of all cameras: faces and toes point backwards",
+            "exchange the names, or check that the calibration is not mirrored",
+        )
+    ]
+
+
+def _pictures(clip: Clip) -> list[FigureFault]:
+    """Persons that are flat and never move."""
+    found = []
+    for person in clip.persons:
+        points = np.array([person.points[f] for f in person.frames])
+        known = np.isfinite(points).all(axis=2).mean(axis=0) > 0.5
+        if known.sum() < 8:
+            continue
+        middle = np.full(points.shape[1:], np.nan)
+        middle[known] = np.nanmedian(points[:, known], axis=0)
+        moved = float(np.nanmedian(np.linalg.norm(points[:, known] - middle[known], axis=2)))
+        off = np.linalg.svd(middle[known] - middle[known].mean(axis=0), compute_uv=False)[2] / np.sqrt(
+            known.sum()
+        )
+        if moved < clip.settings.still_m and off < clip.settings.flat_m:
+            x, y, z = middle[known].mean(axis=0)
+            found.append(
+                FigureFault(
+                    f"somebody at ({x:.1f}, {y:.1f}, {z:.1f}) m never moves and is flat ({1000 * off:.0f} mm): a "
+                    "picture of a person, which is not followed",
+                    "cover the picture, or take its figures out of the files",
+                    person=person.number,
+                )
+            )
+    return found

@@ -1,0 +1,127 @@
+"""Faults of keypoints that geometry tells: each is named, with its camera; good keypoints are not blamed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from keypoint_world import KeypointWorld, keypoint_world
+from numpy.typing import NDArray
+
+from mocap.data.keypoints import MIRRORED
+from mocap.likelihood.markers import marker_views, undistort
+from mocap.tracking.figure_faults import Clip, FaultSettings, FigureFault, find_figure_faults
+from mocap.tracking.figures import FigureSettings, FigureViews, View2D, persons_of_figures
+
+FPS = 25.0
+N = 60
+
+
+def figures_of(world: KeypointWorld) -> dict[int, list[View2D]]:
+    return {
+        f: [
+            View2D(c, undistort(world.rig[c], p[:, :2]), np.nan_to_num(p[:, 2]))
+            for c, seen in enumerate(frame)
+            for p in seen
+        ]
+        for f, frame in enumerate(world.figures)
+    }
+
+
+def faults(figures: dict[int, list[View2D]], world: KeypointWorld) -> list[FigureFault]:
+    own = marker_views(world.rig)
+    views, settings = FigureViews(own.P, own.focal), FigureSettings()
+    persons = persons_of_figures(figures, views, FPS, settings)
+    return find_figure_faults(Clip(figures, persons, views, world.rig.names, FPS, settings, FaultSettings()))
+
+
+@pytest.fixture(scope="module")
+def world() -> KeypointWorld:
+    return keypoint_world(N, noise_px=3.0, n_cameras=5)
+
+
+def mirrored(figure: View2D) -> View2D:
+    return replace(figure, uv=figure.uv[MIRRORED], confidence=figure.confidence[MIRRORED])
+
+
+def test_good_keypoints_are_not_blamed(world: KeypointWorld) -> None:
+    assert faults(figures_of(world), world) == []
+    two = keypoint_world(N, noise_px=3.0, apart_m=1.1)
+    assert faults(figures_of(two), two) == []
+
+
+@pytest.mark.parametrize("order", [(0, 3, 2, 1, 4), (2, 0, 1, 4, 3)])
+def test_exchanged_cameras_are_named(world: KeypointWorld, order: tuple[int, ...]) -> None:
+    """Camera c is given the file of camera order[c]."""
+    figures = {
+        f: [replace(g, camera=order.index(g.camera)) for g in seen] for f, seen in figures_of(world).items()
+    }
+    (fault,) = faults(figures, world)
+    assert "are exchanged" in fault.message
+    for c, file in enumerate(order):
+        # What camera c is called has the keypoints of camera `file`: they fit there.
+        assert (f"those of cam_{c} fit camera cam_{file}" in fault.message) == (c != file)
+
+
+def test_mirrored_names_of_one_camera_are_named(world: KeypointWorld) -> None:
+    figures = {
+        f: [mirrored(g) if g.camera == 2 else g for g in seen] for f, seen in figures_of(world).items()
+    }
+    (fault,) = faults(figures, world)
+    assert "left and right are exchanged in the keypoints of camera cam_2" in fault.message
+    assert fault.camera == 2
+
+
+def test_mirrored_names_of_all_cameras_are_named(world: KeypointWorld) -> None:
+    figures = {f: [mirrored(g) for g in seen] for f, seen in figures_of(world).items()}
+    (fault,) = faults(figures, world)
+    assert "in the keypoints of all cameras" in fault.message
+
+
+def test_a_late_camera_and_another_frame_rate_are_named(world: KeypointWorld) -> None:
+    own = figures_of(world)
+    late = {f: [g for g in own[f] if g.camera != 1] for f in own}
+    half = {f: [g for g in own[f] if g.camera != 1] for f in own}
+    for f in own:
+        late[f] += [g for g in own.get(f - 9, []) if g.camera == 1]
+        half[f] += [g for g in own.get(2 * f, []) if g.camera == 1]
+    (fault,) = faults(late, world)
+    assert (
+        "camera cam_1 are late by 9 frames" in fault.message or "camera cam_1 are late by 8" in fault.message
+    )
+    (fault,) = faults(half, world)
+    assert "camera cam_1 are at 0.5 times the frame rate" in fault.message
+
+
+def test_a_camera_of_another_rig_is_named(world: KeypointWorld) -> None:
+    rng = np.random.default_rng(2)
+    turn = rng.uniform(-60, 60, (1, 2)) + np.array([90.0, -70.0])
+    figures = {
+        f: [replace(g, uv=0.7 * g.uv + turn) if g.camera == 3 else g for g in seen]
+        for f, seen in figures_of(world).items()
+    }
+    (fault,) = faults(figures, world)
+    assert "camera cam_3 do not agree" in fault.message
+
+
+def poster(world: KeypointWorld) -> NDArray[np.float64]:
+    """A person painted on a wall at x = -2.2 m: the points of a frame, pressed flat."""
+    from mocap.body.markers import marker_positions
+
+    points = marker_positions(world.body, world.markers, world.states[0][:1])[0]
+    return np.column_stack([np.full(len(points), -1.9), points[:, 1] - 0.4, points[:, 2]])
+
+
+def test_a_poster_is_no_person(world: KeypointWorld) -> None:
+    rng = np.random.default_rng(4)
+    figures = figures_of(world)
+    for seen in figures.values():
+        for c, camera in enumerate(world.rig):
+            uv, _ = camera.project(poster(world))
+            uv = np.where(camera.contains(uv)[:, None], uv + rng.normal(0.0, 1.0, uv.shape), np.nan)
+            seen.append(View2D(c, undistort(camera, uv), np.full(len(uv), 0.8)))
+    found = faults(figures, world)
+    assert [f.person for f in found if f.person is not None] != []
+    assert len(found) == 1
+    assert "never moves and is flat" in found[0].message
