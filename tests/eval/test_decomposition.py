@@ -15,7 +15,7 @@ from eval.decomposition.statistics import group, ratio_of_means, share_that_hold
 from eval.decomposition.store import append_rows, missing, read_rows, run_cells
 from eval.decomposition.tables import Seeds, Table, result_lines
 from eval.decomposition_sw_tables import several_objects, sweep_table
-from eval.decomposition_xn_6 import clutter_table
+from eval.decomposition_xn_6 import N_CLUTTER, clutter_table
 from mocap.data.problem import StateLayout
 from mocap.filters import FILTERS
 
@@ -159,7 +159,7 @@ def test_tables_claim_what_is_printed() -> None:
     assert ("1 SBPS", "1 PS", 242 / 611) in three.pairs(("3",))
     # XN: "HAPSOPF is best in 15 of 16 cells"; 79 of the 80 orders, HPSO ties in one.
     six = clutter_table(full)
-    orders = [p for a, k in ((4, 4), (5, 5), (6, 4), (7, 5)) for c in (0, 40) for n in (200, 800)
+    orders = [p for a, k in ((4, 4), (5, 5), (6, 4), (7, 5)) for c in (0, N_CLUTTER) for n in (200, 800)
               for p in six.pairs((str(a), str(k), str(c), str(n)))]  # fmt: skip
     assert len(orders) == 79
 
@@ -269,6 +269,34 @@ def test_the_page_is_written_from_the_tables(tmp_path: Path, monkeypatch: pytest
     assert "*(150 ± 10)*" in text
     assert "| SBPS < PS | 1 |" in text
     assert f"{claims[0].ours.ratio:.2f} to {claims[0].ours.ratio:.2f} | 0.74 to 0.74" in text
+
+
+def test_the_page_says_where_orders_of_the_sources_hold() -> None:
+    import eval.decomposition_page as pages
+
+    base = {
+        "better": "SBPS",
+        "worse": "PS",
+        "table": "own",
+        "runs": "10",
+        "low": "",
+        "high": "",
+        "published": "",
+    }
+    lines = [
+        base | {"cell": f"world={w}, |P_j|={a}, K={k}, N=50", "ratio": r, "verdict": v}
+        for (a, k), w, r, v in (
+            ((4, 3), "sw_slow", "0.800", "yes"),
+            ((8, 4), "sw_slow", "1.100", "no"),
+            ((4, 3), "sw", "0.950", "open"),
+        )
+    ]
+    (row,) = [line for line in pages.by_regime(lines) if line.startswith("| SBPS < PS")]
+    assert "| 1 of 1 (0 / 0), 0.95 to 0.95 | 1 of 2 (1 / 1), 0.80 to 1.10 |" in row
+    text = "\n".join(pages.answer(lines, lines))
+    assert "**2 of 3 published orders hold" in text
+    assert "in 1 of 2 objects, 0.80 to 1.10" in text
+    assert "**0.80** *1.10*" in "\n".join(pages.own_worlds(lines))
 
 
 def test_kept_cells_are_compared_with_today_s_code(
