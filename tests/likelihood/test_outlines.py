@@ -8,6 +8,7 @@ import pytest
 from flesh_voxels import Flesh
 from outline_world import (
     ANGLES_DEG,
+    FOCAL,
     N_POINTS,
     H,
     W,
@@ -19,7 +20,7 @@ from outline_world import (
     silhouette,
 )
 
-from mocap.body import cones_of, landmarks_of, neutral_state
+from mocap.body import cones_of, joint_transforms, landmarks_of, neutral_state
 from mocap.data import CameraRig
 from mocap.filters.refine import RefineSettings, refine
 from mocap.likelihood.residuals import (
@@ -181,6 +182,42 @@ def test_flesh_outside_a_silhouette_costs_and_flesh_inside_does_not(flesh: Flesh
     away = bent(flesh)
     away[0] += 0.3
     assert outside(away) > 20 * outside(bent(flesh))
+
+
+def test_flesh_beyond_a_straight_border_costs_its_distance_to_the_border(flesh: Flesh) -> None:
+    """A silhouette of all columns up to one: its border lies half a pixel beyond the centres of the last column."""
+    camera = next(iter(make_rig()))
+    last = W // 2
+    columns = np.minimum(np.arange(W), last)
+    nearest = (np.arange(H)[:, None] * W + columns).astype(np.int32)
+    ray = np.array([[1.0, 0.0, 0.0]])
+    outlines = Outlines(
+        rig=CameraRig((camera,)),
+        origins=np.array([[0.0, 0.0, 50.0]]),
+        directions=ray,
+        normals=ray[:, [1, 2, 0]],
+        camera=np.zeros(1, dtype=np.int64),
+        nearest=nearest.ravel(),
+        first=np.zeros(1, dtype=np.int64),
+        shape=np.array([[H, W]]),
+        corner=np.zeros((1, 2), dtype=np.int64),
+    )
+    state = bent(flesh)
+    settings = OutlineFitSettings(flesh_scale_m=0.3)
+    problem = problem_of(flesh, outlines, settings)
+    without = problem_of(flesh, outlines, replace(settings, flesh_gain=0.0))
+    cost = problem.normal_equations(state)[0] - without.normal_equations(state)[0]
+    R, t = joint_transforms(flesh.body, state[None])
+    local, joint = problem.terms.flesh
+    points = np.einsum("nrc,nc->nr", R[0, joint], local) + t[0, joint]
+    uv, depth = camera.project(points)
+    # Nearest is the last column of the pixel's own row.
+    off = np.hypot(uv[:, 0] - last, uv[:, 1] - np.floor(uv[:, 1] + 0.5))
+    off = off[uv[:, 0] > last + 1.0], depth[uv[:, 0] > last + 1.0]
+    assert len(off[0]) > 40
+    q = (off[0] - 0.5) * off[1] / FOCAL / 0.3
+    gain = problem.terms.pull.flesh_gain
+    assert cost == pytest.approx((0.5 * gain * 0.3**2 * q**2 / (1 + q**2)).sum(), rel=0.01)
 
 
 def test_outlines_beside_another_person_do_not_count(flesh: Flesh, seen: Outlines, rig: CameraRig) -> None:

@@ -9,6 +9,7 @@ from flesh_voxels import Flesh
 from mocap.body import Body, cones_of, joint_transforms, neutral_state
 from mocap.body._kernels import chain_axes
 from mocap.likelihood.residuals import HullSurface, SurfaceFitSettings, SurfaceProblem, hull_surface
+from mocap.likelihood.residuals._surface_kernels import from_axis
 from mocap.likelihood.voxels import PackedVolume
 from mocap.pose.volume import PersonHull, pack_volume
 from mocap.volume import surface_voxels
@@ -147,6 +148,44 @@ def test_gradient_of_the_penetration_is_the_derivative_of_the_cost(coarse_flesh:
     np.testing.assert_allclose(g, expected, atol=1e-4 * np.abs(expected).max())
     together = [names.index(n) for n in ("root_x", "root_y", "root_z", "root_yaw", "root_pitch", "root_roll")]
     np.testing.assert_allclose(g[together], 0.0, atol=1e-12)
+
+
+def test_penetration_of_two_arms_pushes_both(coarse_flesh: Flesh) -> None:
+    """Forearms that cross: what moves the other arm alone pulls the other way. Exact for cylinders."""
+    body = cylinders(coarse_flesh.body)
+    names = body.layout.names
+    state = neutral_state(body)
+    for name, value in (
+        ("left_shoulder_x", 0.0),
+        ("left_shoulder_z", -1.5),
+        ("left_elbow_z", -1.6),
+        ("right_shoulder_x", 0.0),
+        ("right_shoulder_z", 1.5),
+        ("right_elbow_z", 1.5),
+    ):
+        state[names.index(name)] = value
+    nothing = HullSurface(np.full((1, 3), 50.0), np.eye(3)[:1], empty_volume(coarse_flesh, True))
+    with_it, without = (
+        SurfaceProblem(
+            body, coarse_flesh.table, nothing, SurfaceFitSettings(flesh_gain=0.0, penetration_gain=gain)
+        )
+        for gain in (1000.0, 0.0)
+    )
+    g = with_it.normal_equations(state)[2] - without.normal_equations(state)[2]
+    expected = finite_differences(with_it, state) - finite_differences(without, state)
+    for side in ("left", "right"):
+        assert np.abs(expected[names.index(f"{side}_elbow_z")]) > 0.1 * np.abs(expected).max(), side
+    np.testing.assert_allclose(g, expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_beyond_its_ends_an_axis_is_its_end() -> None:
+    start, end = np.zeros((1, 3)), np.array([[0.0, 0.0, 2.0]])
+    for at, expected in (
+        ((1.0, 0.0, 1.0), (0.5, 1.0, 0.0, 0.0)),
+        ((0.0, 0.0, 3.0), (1.0, 0.0, 0.0, 1.0)),
+        ((0.0, 3.0, -4.0), (0.0, 0.0, 3.0, -4.0)),
+    ):
+        np.testing.assert_allclose(from_axis(at, start, end, 0), expected, atol=1e-9)
 
 
 def test_residuals_of_zero_leave_nothing_to_do(coarse_flesh: Flesh) -> None:

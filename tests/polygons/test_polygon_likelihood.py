@@ -135,6 +135,22 @@ def test_polygons_that_share_a_border_share_no_pixel_and_leave_none_out() -> Non
     np.testing.assert_array_equal(whole, left + right)
 
 
+def test_area_on_whole_pixels_holds_the_left_and_the_upper_border() -> None:
+    """Corners on pixel centres: columns 2 to 5 and rows 3 to 7, in both senses of rotation and by the twin."""
+    bins = colour_bins(np.zeros((12, 12, 3), dtype=np.uint8))
+    bins[3:8, 2:6] = 1
+    x, y = np.array([2.0, 6.0, 6.0, 2.0]), np.array([3.0, 3.0, 8.0, 8.0])
+    for order in (slice(None), slice(None, None, -1)):
+        counts = np.zeros(26, dtype=np.int64)
+        area, _ = kernels.count_polygon(x[order].copy(), y[order].copy(), bins, counts)
+        assert area == 20
+        assert counts[1] == 20, "of the marked pixels, all and no other"
+    reference = np.zeros((1, 24))
+    reference[0, [1, 8, 16]] = 1 / 3
+    squared, _ = polygon_scores_numpy(one_square(2.0), bins, reference, np.array([[4.0, 5.0, 0.0]]))
+    assert squared[0, 0] == pytest.approx(0.0, abs=ROUNDING)
+
+
 def test_area_in_pixels_is_that_of_the_polygon() -> None:
     """One-sided: pixels and area differ by at most the perimeter."""
     tree = star_tree(4, 3)

@@ -91,6 +91,15 @@ def test_surface_map_equals_separable_convolution(seed, sigma):
     assert np.abs((packed & 127).astype(int) - level)[~border].max() <= ONE_LEVEL
 
 
+@pytest.mark.parametrize("sigma", [0.5, 1.0, 1.6])
+def test_weights_of_the_surface_map_reach_two_sigma(sigma):
+    weights = gaussian_weights(sigma)
+    r = len(weights) // 2
+    assert r == np.ceil(2 * sigma)
+    expected = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma) ** 2)
+    np.testing.assert_allclose(weights, expected / expected.sum(), rtol=1e-6)
+
+
 def test_surface_map_of_a_flat_sheet_is_one_on_it():
     dense = np.zeros(GRID.shape, dtype=bool)
     dense[:, :, 8] = True
