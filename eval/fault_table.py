@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.whole import write_csv
+from eval.whole import write_csv, write_text
 from mocap.data import CameraRig
 from mocap.io.calibration import read_calibration, write_calibration
 from mocap.io.session import open_session
@@ -225,8 +225,7 @@ def scores_of(session: Path, out: Path, how: str) -> Row:
 def kept(path: Path, make: Callable[[], Row]) -> Row:
     """A row that is made once, so that the command can be stopped and started again."""
     if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(make()), encoding="utf-8")
+        write_text(path, json.dumps(make()))
     row: Row = json.loads(path.read_text(encoding="utf-8"))
     print(", ".join(f"{k} {v}" for k, v in row.items()), flush=True)
     return row

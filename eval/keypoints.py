@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.whole import write_csv
+from eval.whole import write_csv, write_text
 from mocap.data import LANDMARKS, Motion
 from mocap.data.keypoints import KEYPOINTS
 from mocap.io.tables import read_landmarks_csv
@@ -88,7 +88,7 @@ def session_folder(case: Case, work: Path) -> Path:
     names = read_calibration(source / "calibration.toml").rig.names
     order = OF_RING if len(names) == len(OF_RING) else range(len(names))
     kept = [names[i] for i in sorted(list(order)[: case.cameras])]
-    (folder / "session.toml").write_text(f"fps = 30.0\ncameras = {json.dumps(kept)}\n")
+    write_text(folder / "session.toml", f"fps = 30.0\ncameras = {json.dumps(kept)}\n")
     return folder
 
 
