@@ -93,7 +93,7 @@ What this means for a choice:
   slow film draws level with `sbapf`; `pfcr` lies between.
 - *An observation that misleads* (appearance set by hand, so that its maximum lies off the truth): nobody gains much by
   following it harder. All five lie within a tenth; with long arms and a jointed state `pfcr` is first and annealing
-  last, with loose joints `sbps` is first.
+  last, with loose joints mostly `sbps` is first.
 - An honest spread needs `ps` or `pfcr-equal` in all of them ([decomposition](decomposition.md))."""
 
 
