@@ -11,6 +11,7 @@ when the clip begins anew. Writes eval/results/live.csv.
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -26,8 +27,8 @@ from eval.whole import write_csv
 
 RESULTS = ROOT / "eval" / "results" / "live.csv"
 FIELDS = (
-    "session", "mode", "cameras", "preset", "threads", "results", "first_pose_s", "search_cpu_s", "segment_ms",
-    "carve_ms", "track_ms", "cpu_ms", "results_per_s", "latency_p50_ms", "latency_p95_ms", "dropped", "error_mm",
+    "session", "mode", "cameras", "cores", "preset", "threads", "results", "first_pose_s", "search_cpu_s", "cpu_ms",
+    "results_per_s", "latency_p50_ms", "latency_p95_ms", "dropped", "error_mm",
 )  # fmt: skip
 
 
@@ -104,19 +105,17 @@ def every(root: Path, n_cameras: int, preset: str, seconds: float, work: Path) -
     with tempfile.TemporaryDirectory() as folder:
         store = StageStore(Path(folder) / "store.zarr")
         with Engine(session, config, store, Occluders({}, 1), n_threads=1) as engine:
-            begun_s, before = engine.busy_s, time.process_time()
+            before = time.process_time()
             for result in engine.results(_sets(session)):
                 now = time.process_time()
                 costs.append(now - before)
                 before = now
                 errors.put(result)
-            busy_ms = {k: round(1000 * (v - begun_s[k]) / len(costs), 1) for k, v in engine.busy_s.items()}
     followed = costs[-len(errors.latencies_s) + 1 :]
     return {
         "results": len(costs),
         "first_pose_s": _rounded(errors.first_pose_s),
         "search_cpu_s": round(max(costs), 2),
-        **{f"{stage}_ms": ms for stage, ms in busy_ms.items()},
         "cpu_ms": round(1000 * float(np.median(followed)), 1),
         "error_mm": round(float(np.mean(errors.errors_mm)), 1),
     }
@@ -193,11 +192,18 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval" / "live")
     arguments = parser.parse_args(words)
     preset, seconds, work = arguments.preset, arguments.seconds, arguments.work
+    n_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     rows = []
     for root in arguments.session:
         for n_cameras in map(int, arguments.cameras.split(",")):
             for mode in arguments.modes.split(","):
-                row = {"session": root.name, "mode": mode, "cameras": n_cameras, "preset": preset}
+                row = {
+                    "session": root.name,
+                    "mode": mode,
+                    "cameras": n_cameras,
+                    "cores": n_cores,
+                    "preset": preset,
+                }
                 if mode == "every":
                     row |= {"threads": 1, **every(root, n_cameras, preset, seconds, work)}
                 else:

@@ -138,6 +138,37 @@ def test_results_are_the_same_every_time(
                 np.testing.assert_array_equal(p.pose.state, q.pose.state)
 
 
+@pytest.mark.slow
+def test_who_comes_back_is_known(session: Session, root: Path, tmp_path: Path) -> None:
+    """He is away for three seconds; his number and size are those of before, his pose is looked for anew."""
+    empty = [read_clip(root / "background" / f"{name}.mp4")[0][:, :, ::-1] for name in session.rig.names]
+    away_s = 3.0
+
+    def sets() -> Iterator[PictureSet]:
+        clip = list(sets_of(session))
+        yield from clip
+        for i in range(round(away_s * session.fps)):
+            t = (len(clip) + i) / session.fps
+            yield PictureSet(tuple(Shot(t, 0.0, np.ascontiguousarray(picture)) for picture in empty))
+        later_s = away_s + len(clip) / session.fps
+        for found in clip:
+            shots = [shot for shot in found.shots if shot is not None]
+            yield PictureSet(tuple(replace(shot, time_s=shot.time_s + later_s) for shot in shots))
+
+    config = load_config("realtime", (*SETTINGS, *THOROUGH, "tracking.lost_frames=5"))
+    with engine(session, tmp_path, config) as live:
+        results = list(live.results(sets()))
+    n = len(session.frames)
+    before, after = results[:n], results[-n:]
+    assert not any(r.persons for r in results[n + 8 : -n])
+    (height,) = {p.height_m for r in before for p in r.persons} - {None}
+    returned = [p for r in after for p in r.persons]
+    assert {p.person for p in returned} == {1}
+    assert {p.height_m for p in returned} == {height}
+    assert returned[0].pose is None
+    assert returned[-1].pose is not None
+
+
 def test_a_camera_without_a_picture_takes_part_in_nothing(session: Session, tmp_path: Path) -> None:
     with engine(session, tmp_path) as live:
         found = list(live._tracked(sets_of(session, without=("cam_2",))))

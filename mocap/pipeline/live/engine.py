@@ -132,11 +132,6 @@ class Engine:
     ) -> None:
         self._stack.close()
 
-    @property
-    def busy_s(self) -> dict[str, float]:
-        """Stage -> seconds of work so far."""
-        return {walker.stage.name: walker.busy_s for walker in self._walkers}
-
     def results(self, sets: Iterable[PictureSet]) -> Iterator[FrameResult]:
         """The result of every set, in order."""
         tracked: Iterator[_Tracked] = self._tracked(sets)
