@@ -53,6 +53,10 @@ def live(
     osc: Annotated[
         str | None, typer.Option("--osc", help="Landmarks as OSC: PORT of this machine, or HOST:PORT.")
     ] = None,
+    vmc: Annotated[
+        str | None,
+        typer.Option("--vmc", help="One person for avatars (VMC): PORT of this machine, or HOST:PORT."),
+    ] = None,
     record: Annotated[
         bool, typer.Option("--record", help="Record videos, for `mocap run OUT` later.")
     ] = False,
@@ -80,7 +84,7 @@ def live(
         n_threads=threads or 2,
     )
     with ExitStack() as stack:
-        sinks = _sinks(json_to, udp, osc)
+        sinks = _sinks(json_to, udp, osc, vmc)
         for sink in sinks:
             stack.callback(sink.close)
         status = run_live(order, sinks, show=_show, count_down=_count_down)
@@ -121,14 +125,16 @@ def _room(
     return session, sources
 
 
-def _sinks(json_to: Path | None, udp: str | None, osc: str | None) -> list[Sink]:
-    from mocap.pipeline.live.outputs import JsonLines, UdpJson, UdpOsc, read_address
+def _sinks(json_to: Path | None, udp: str | None, osc: str | None, vmc: str | None) -> list[Sink]:
+    from mocap.pipeline.live.outputs import JsonLines, UdpJson, UdpOsc, UdpVmc, read_address
 
     sinks: list[Sink] = []
     if udp is not None:
         sinks.append(UdpJson(read_address(udp, "--udp")))
     if osc is not None:
         sinks.append(UdpOsc(read_address(osc, "--osc")))
+    if vmc is not None:
+        sinks.append(UdpVmc(read_address(vmc, "--vmc")))
     if json_to is not None and str(json_to) == "-":
         sinks.append(JsonLines(sys.stdout, is_closed=False))
     elif json_to is not None:

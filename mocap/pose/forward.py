@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.body import Body
 from mocap.body.initial import HeightEstimate
 from mocap.data import VoxelGrid
 from mocap.pose.follow import FramePose, OnePose, follow_frame
@@ -86,14 +87,9 @@ class ForwardPerson:
         self._last_s: float | None = None
 
     @property
-    def tools(self) -> VolumeTools | None:
-        """Of the person's body; None while it is not known."""
-        return None if self._known is None else self._known.tools
-
-    @property
-    def height_m(self) -> float | None:
-        """Of the person's body; None while it is not known."""
-        return None if self._known is None else self._known.tools.body.height_m
+    def body(self) -> Body | None:
+        """The person's body; None while the size is not known."""
+        return None if self._known is None else self._known.tools.body
 
     def see(self, seen: Sighting) -> FramePose | None:
         """The pose at this time; None while the first one is looked for."""

@@ -11,10 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mocap.body import load_body_model, scale_body
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
+from mocap.pipeline.config import load_config
 from mocap.pipeline.live.engine import FrameResult, PersonResult
-from mocap.pipeline.live.outputs import JsonLines, UdpJson, UdpOsc, osc_message, read_address
+from mocap.pipeline.live.outputs import JsonLines, UdpJson, UdpOsc, UdpVmc, osc_message, read_address
 from mocap.pose.follow import FramePose
 
 N = len(LANDMARKS)
@@ -24,7 +26,8 @@ POSE = FramePose(
     misfit=np.zeros(2), unexplained=0.0, blind_std=0.0, hidden_std=np.zeros(N), observed=np.arange(N) % 2 == 0,
     log_likelihood=-1.0, evidence=-2.0, ess_share=0.5,
 )  # fmt: skip
-FOLLOWED = PersonResult(2, np.array([0.5, -0.25, 1.0]), 1.7654, POSE, np.linspace(0.01, 0.02, N))
+BODY = scale_body(load_body_model(load_config().body_model("voxels")), 1.7654)
+FOLLOWED = PersonResult(2, np.array([0.5, -0.25, 1.0]), BODY, POSE, np.linspace(0.01, 0.02, N))
 RESULT = FrameResult(41, 12.34567, 0.0421, 6, (FOLLOWED, PersonResult(3, np.array([1.0, 2.0, 0.9]))))
 
 
@@ -63,6 +66,7 @@ def test_an_osc_message_to_the_byte() -> None:
     """OSC 1.0: strings end with zeros up to a multiple of four, numbers are big-endian."""
     assert osc_message("/ab", 1.0, -2.5) == b"/ab\0,ff\0" + bytes.fromhex("3f800000c0200000")
     assert osc_message("/abc") == b"/abc\0\0\0\0,\0\0\0"
+    assert osc_message("/a", "bone", 7) == b"/a\0\0,si\0bone\0\0\0\0\0\0\0\x07"
 
 
 @pytest.fixture
@@ -85,16 +89,68 @@ def test_osc_sends_a_bundle_of_every_person_with_a_pose(receiver: socket.socket)
     sink.put(RESULT)
     data = receiver.recv(65536)
     assert data[:16] == b"#bundle\0" + struct.pack(">Q", 1)
-    at, messages = 16, []
-    while at < len(data):
-        (size,) = struct.unpack_from(">i", data, at)
-        messages.append(data[at + 4 : at + 4 + size])
-        at += 4 + size
+    messages = parts_of(data)
     assert len(messages) == N
     assert messages[2] == osc_message(f"/mocap/2/{LANDMARKS[2]}", *PLACES[2])
     receiver.settimeout(0.1)
     with pytest.raises(TimeoutError):
         receiver.recv(10)  # the person without a pose sends nothing
+    sink.close()
+
+
+def parts_of(bundle: bytes) -> list[bytes]:
+    """The messages of an OSC bundle."""
+    at, messages = 16, []
+    while at < len(bundle):
+        (size,) = struct.unpack_from(">i", bundle, at)
+        messages.append(bundle[at + 4 : at + 4 + size])
+        at += 4 + size
+    return messages
+
+
+def bones_of(receiver: socket.socket, state: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Bone -> place and quaternion that an avatar is told of a state."""
+    sink = UdpVmc(receiver.getsockname())
+    sink.put(replace(RESULT, persons=(replace(FOLLOWED, pose=replace(POSE, state=state)),)))
+    sink.close()
+    found = {}
+    for message in parts_of(receiver.recv(65536)):
+        if message.startswith(b"/VMC/Ext/Bone/Pos"):
+            numbers = struct.unpack(">7f", message[-28:])
+            name = message[32:-28].rstrip(b"\0").decode()
+            found[name] = np.array(numbers[:3]), np.array(numbers[3:])
+    return found
+
+
+def test_an_avatar_in_a_t_pose_has_no_rotations(receiver: socket.socket) -> None:
+    bones = bones_of(receiver, np.zeros(BODY.layout.n_columns))
+    assert {"Hips", "Spine", "Neck", "LeftUpperArm", "LeftLowerArm", "RightUpperLeg", "RightLowerLeg"} <= set(
+        bones
+    )
+    for _, quaternion in bones.values():
+        np.testing.assert_allclose(quaternion, [0, 0, 0, 1], atol=1e-6)
+    assert bones["LeftLowerArm"][0][0] < -0.2  # Unity's x is to the right
+    assert bones["RightLowerLeg"][0][1] < -0.3
+
+
+def test_an_avatar_turns_and_walks_as_the_person_does(receiver: socket.socket) -> None:
+    """Forward is Unity's z, up is its y, and to turn left is a negative turn about it."""
+    state = np.zeros(BODY.layout.n_columns)
+    state[:3] = 2.0, 0.5, 0.9
+    assert BODY.yaw_column is not None
+    state[BODY.yaw_column] = np.pi / 2
+    place, quaternion = bones_of(receiver, state)["Hips"]
+    np.testing.assert_allclose(place, [-0.5, 0.9, 2.0], atol=1e-6)
+    np.testing.assert_allclose(quaternion, [0, -np.sin(np.pi / 4), 0, np.cos(np.pi / 4)], atol=1e-6)
+
+
+def test_an_avatar_stays_with_one_person(receiver: socket.socket) -> None:
+    sink = UdpVmc(receiver.getsockname())
+    still = replace(POSE, state=np.zeros(BODY.layout.n_columns))
+    one, other = (replace(FOLLOWED, person=k, pose=still) for k in (4, 1))
+    for persons, told in (((one,), 4), ((other, one), 4), ((other,), 1), ((), None)):
+        sink.put(replace(RESULT, persons=persons))
+        assert sink._person == told
     sink.close()
 
 

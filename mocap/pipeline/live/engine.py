@@ -16,7 +16,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body import load_body_model
+from mocap.body import Body, load_body_model
 from mocap.data import Occluders, VoxelGrid
 from mocap.io.session import Session
 from mocap.io.store import StageStore
@@ -53,15 +53,20 @@ _NO_PICTURE = np.zeros((0, 0, 3), dtype=np.uint8)
 class PersonResult:
     """One person in one frame.
 
-    xyz : (3,) m, the track.  height_m : of the body; None while it is not known.  pose, landmarks (15, 3) m and
-    deviation_m (15,), the standard deviation along an axis: None while the first pose is looked for.
+    xyz : (3,) m, the track.  body : None while it is not known.  pose and deviation_m (15,), the standard deviation of
+    a landmark along an axis: None while the first pose is looked for.
     """
 
     person: int
     xyz: Array
-    height_m: float | None = None
+    body: Body | None = None
     pose: FramePose | None = None
     deviation_m: Array | None = None
+
+    @property
+    def height_m(self) -> float | None:
+        """Of the body; None while it is not known."""
+        return None if self.body is None else self.body.height_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,14 +182,14 @@ class Engine:
         )
         follower = self._follower(track.person)
         pose = follower.see(Sighting(found.pictures.time_s, track.xyz, hull))
-        tools = follower.tools
-        if pose is None or tools is None:
-            return PersonResult(track.person, track.xyz, follower.height_m)
+        body = follower.body
+        if pose is None or body is None:
+            return PersonResult(track.person, track.xyz, body)
         covariance = landmark_covariances(
-            tools.body, series_of([pose]), self.config.method.deviation, is_refined=self.config.pose.refine
+            body, series_of([pose]), self.config.method.deviation, is_refined=self.config.pose.refine
         )
         deviation_m = np.sqrt(np.trace(covariance[0], axis1=1, axis2=2) / 3.0)
-        return PersonResult(track.person, track.xyz, follower.height_m, pose, deviation_m)
+        return PersonResult(track.person, track.xyz, body, pose, deviation_m)
 
     def _follower(self, person: int) -> ForwardPerson:
         """Who follows a person; the last who was seen stands last."""

@@ -1,4 +1,4 @@
-"""Outputs of a live run: JSON lines to a file, a pipe or by UDP, and OSC by UDP; to this machine by default."""
+"""Outputs of a live run: JSON lines to a file, a pipe or by UDP, OSC and VMC by UDP; to this machine by default."""
 
 from __future__ import annotations
 
@@ -6,15 +6,22 @@ import json
 import math
 import socket
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from typing import IO, Any, Protocol
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mocap.body import skeleton_of
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
+from mocap.io.formats.bone_names import renamed
 from mocap.pipeline.live.engine import FrameResult, PersonResult
 
 _LOOPBACK = "127.0.0.1"
+_TO_UNITY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""From our axes, x forward, y left, z up, to Unity's."""
 
 
 class Sink(Protocol):
@@ -104,9 +111,50 @@ class UdpOsc(_Udp):
                 )
 
 
-def osc_message(address: str, *values: float) -> bytes:
-    """An OSC 1.0 message of 32-bit floats."""
-    return _padded(address) + _padded("," + "f" * len(values)) + struct.pack(f">{len(values)}f", *values)
+class UdpVmc(_Udp):
+    """The Virtual Motion Capture protocol: one person's bones as local rotations, for avatars with a T pose at rest.
+
+    The person who has been followed for longest. Unity's axes: x right, y up, z forward, left-handed.
+    """
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        super().__init__(address)
+        self._person: int | None = None
+
+    def put(self, result: FrameResult) -> None:
+        followed = {p.person: p for p in result.persons if p.pose is not None and p.body is not None}
+        if self._person not in followed:
+            self._person = next(iter(followed), None)
+        if self._person is not None:
+            self.send(osc_bundle(_vmc_messages(followed[self._person], result.time_s)))
+
+
+def _vmc_messages(person: PersonResult, time_s: float) -> Iterator[bytes]:
+    assert person.pose is not None
+    assert person.body is not None
+    skeleton = renamed(skeleton_of(person.body, person.pose.state[None], person.person), "vrm")
+    # A rotation of a left-handed frame has the quaternion of its matrix, as one of a right-handed frame.
+    turned = _TO_UNITY @ skeleton.rotations[0] @ _TO_UNITY.T
+    quaternions = Rotation.from_matrix(turned).as_quat(canonical=True)
+    places = (
+        np.where((skeleton.parents < 0)[:, None], skeleton.root_position[0], skeleton.offsets) @ _TO_UNITY.T
+    )
+    yield osc_message("/VMC/Ext/OK", 1)
+    yield osc_message("/VMC/Ext/T", time_s)
+    yield osc_message("/VMC/Ext/Root/Pos", "root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    for name, place, quaternion in zip(skeleton.names, places, quaternions, strict=True):
+        bone = name[0].upper() + name[1:]  # as Unity writes what VRM calls upperArm
+        yield osc_message("/VMC/Ext/Bone/Pos", bone, *place.tolist(), *quaternion.tolist())
+
+
+def osc_message(address: str, *values: str | int | float) -> bytes:
+    """An OSC 1.0 message of strings, 32-bit integers and floats."""
+    tags = "".join("s" if isinstance(v, str) else "i" if isinstance(v, int) else "f" for v in values)
+    coded = [
+        _padded(v) if isinstance(v, str) else struct.pack(f">{t}", v)
+        for t, v in zip(tags, values, strict=True)
+    ]
+    return b"".join([_padded(address), _padded("," + tags), *coded])
 
 
 def osc_bundle(messages: Iterable[bytes]) -> bytes:
