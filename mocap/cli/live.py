@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mocap.cli.options import PresetOption, SeedOption, SetOption, ThreadsOption, read_config
+from mocap.compiling import compilation_shown
 from mocap.errors import MocapError
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ def live(
         sinks = _sinks(json_to, udp, osc, vmc)
         for sink in sinks:
             stack.callback(sink.close)
+        stack.enter_context(compilation_shown(_compiling))
         status = run_live(order, sinks, show=_show, count_down=_count_down)
     _say(f"{_words(status)}; {status.n_results} results")
     if order.is_recorded:
@@ -146,6 +148,11 @@ def _count_down(left_s: float) -> None:
     if sys.stderr.isatty():
         sys.stderr.write(f"\r\x1b[KFilming the empty room: {left_s:.0f} s; nobody may be in it")
         sys.stderr.flush()
+
+
+def _compiling(what: str, done: int, total: int) -> None:
+    if done % 10 == 1:
+        _say(f"{what}: {done}/{total}; `mocap warm-up` does it beforehand", is_rewritten=True)
 
 
 def _show(status: LiveStatus) -> None:
