@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import cv2
@@ -39,17 +40,20 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Output of a run on the whole clip, and of one in which all cameras are covered for half a second."""
     base = tmp_path_factory.mktemp("hidden")
     source = small_session(tmp_path_factory.getbasetemp())
-    found = []
-    for name in ("whole", "covered"):
-        session = copy_session(source, base / name, masks=True)
-        if name == "covered":
-            for camera in CAMERAS:
-                for frame in HIDDEN:
-                    path = session / "masks" / camera / f"{frame:04d}.png"
-                    cv2.imwrite(str(path), np.zeros_like(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)))
-        found.append(base / f"{name}_out")
-        run_session(session, found[-1], config=load_config("default", (*PLAIN, "output.formats=[]")))
-    return found[0], found[1]
+    covered = dict.fromkeys(CAMERAS, HIDDEN)
+    return _run(source, base / "whole", {}), _run(source, base / "covered", covered)
+
+
+def _run(source: Path, session: Path, covered: Mapping[str, Iterable[int]]) -> Path:
+    """A run on a copy of a session in which cameras see nobody in some frames; its output."""
+    copy_session(source, session, masks=True)
+    for camera, frames in covered.items():
+        for frame in frames:
+            path = session / "masks" / camera / f"{frame:04d}.png"
+            cv2.imwrite(str(path), np.zeros_like(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)))
+    out = session.with_name(f"{session.name}_out")
+    run_session(session, out, config=load_config("default", (*PLAIN, "output.formats=[]")))
+    return out
 
 
 def test_half_a_second_behind_a_curtain_is_named_and_harms_nothing_else(runs: tuple[Path, Path]) -> None:
@@ -66,3 +70,22 @@ def test_half_a_second_behind_a_curtain_is_named_and_harms_nothing_else(runs: tu
     # Two runs of few particles differ by centimetres. The man goes half a metre while nobody sees him.
     assert np.median(apart) < 0.05
     assert apart[:, [LANDMARKS.index("pelvis"), LANDMARKS.index("neck")]].max() < 0.1
+
+
+def test_a_camera_that_sees_only_furniture_is_named_and_asked_nothing(
+    runs: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    source = small_session(tmp_path_factory.getbasetemp())
+    out = _run(source, tmp_path_factory.mktemp("furniture") / "session", {CAMERAS[1]: range(N_FRAMES)})
+    record = json.loads((out / "run.json").read_text("utf-8"))
+    assert any(f"camera {CAMERAS[1]}: nobody is in its silhouettes" in w for w in record["warnings"])
+    assert record["numbers"]["occluders"]["picture_share"][CAMERAS[1]] > 0
+    # Asked, it would vote everything away.
+    assert record["numbers"]["carve"]["mean_volume_litres"] > 30
+    whole, blind = (read_landmarks_csv(folder / "landmarks.csv") for folder in (runs[0], out))
+    assert len(blind) == 1
+    both = np.isin(whole[0].frames, blind[0].frames)
+    assert both.sum() >= N_FRAMES - 2
+    apart = np.linalg.norm(blind[0].landmarks - whole[0].landmarks[both], axis=2)
+    # Three cameras instead of four: a hull half as large again.
+    assert np.median(apart) < 0.1
