@@ -443,7 +443,9 @@ def _clearance(
         is_seen &= ~occluders.hides(camera, points)
     out = np.full(len(points), np.inf, dtype=np.float32)
     with np.errstate(invalid="ignore"):
-        pixels = np.nan_to_num(_interpolated(inside, uv[is_seen].astype(np.float32)), nan=np.inf)
+        pixels = np.nan_to_num(
+            _interpolated(inside, uv[is_seen].astype(np.float32)), nan=np.inf, posinf=np.inf
+        )
     out[is_seen] = pixels * depth[is_seen] / (0.5 * (camera.K[0, 0] + camera.K[1, 1]))
     return out
 

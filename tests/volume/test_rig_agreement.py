@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from eval.bench.scene import person_mask, ring
 from mocap.data import Camera, CameraRig, VoxelGrid
 from mocap.volume import CameraFault, ConsistencyMonitor, find_misfits
-from mocap.volume.rig_agreement import MaskSample, rig_agreement
+from mocap.volume.rig_agreement import MaskSample, _clearance, rig_agreement
 
 C, SIZE, N = 7, (320, 240), 6
 RIG = ring(C, SIZE)
@@ -44,6 +44,15 @@ def rig_with(faults: dict[int, tuple[tuple[float, float, float], tuple[float, fl
 
 
 STILL = (0.0, 0.0, 0.0)
+
+
+def test_a_cut_outline_does_not_judge() -> None:
+    inside = np.full(SIZE[::-1], 5.0, dtype=np.float32)
+    inside[:, : SIZE[0] // 2] = np.inf
+    uv = np.array([[u, 120.0] for u in (20.0, 158.5, 159.4, 161.0, 300.0)])
+    points = RIG[0].center + 3.0 * RIG[0].rays(uv)
+    found = _clearance(RIG[0], points, inside, None)
+    np.testing.assert_array_equal(np.isfinite(found), [False, False, False, True, True])
 
 
 def test_a_good_rig_agrees() -> None:
