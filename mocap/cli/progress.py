@@ -51,8 +51,9 @@ def _bars() -> Iterator[Progress]:
 
 
 def _lines() -> Progress:
-    """A line per stage every ten seconds and at its end; short stages give one."""
+    """A line per stage every ten seconds, with the time left, and at its end; short stages give one."""
     last: dict[str, float] = {}
+    begun: dict[str, tuple[float, int]] = {}
     finished: dict[str, int] = {}
 
     def show(stage: str, done: int, total: int) -> None:
@@ -61,16 +62,28 @@ def _lines() -> Progress:
             sys.stderr.write("compiling: once after installation, or with `mocap warm-up`\n")
         if stage not in last:
             last[stage] = now  # the first line comes after ten seconds, or at the end
+            begun[stage] = now, done
         if done == total and total == finished.get(stage):
             return
         if done == total or now - last[stage] > _EVERY_S:
             last[stage] = now
             if done == total:
                 finished[stage] = total
-            sys.stderr.write(f"{stage}: {done}/{total}\n")
+            sys.stderr.write(f"{stage}: {done}/{total}{_left(begun[stage], now, done, total)}\n")
             sys.stderr.flush()
 
     return show
+
+
+def _left(begun: tuple[float, int], now: float, done: int, total: int) -> str:
+    """How long the rest will take if it goes on as it did, in words; nothing at the end and before anything is known.
+
+    begun : when progress was heard first, and how much was done then.
+    """
+    since, n_then = begun
+    if done >= total or done <= n_then:
+        return ""
+    return f", about {duration_text((now - since) * (total - done) / (done - n_then))} left"
 
 
 class FinishedStages:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from mocap.body import Body, cones_of
 from mocap.io.video import FrameReader
 from mocap.pipeline.record import Found
 from mocap.pose.result import PersonPoses
-from mocap.products.hulls import read_hulls, stored_grid
+from mocap.products.hulls import PRODUCT, hull_at, stored_grid
 from mocap.view import BodyPart
 from mocap.volume import choose_grid
 
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 Bounds = tuple[list[float], list[float]]
 
 _BOUNDS_STEP_M = 0.1
+# Of a longer recording every k-th frame is shown: bodies of 3000 frames take 18 MB a person, of an hour 650.
+_MOST_FRAMES = 3000
 
 
 def body_parts(body: Body, state: Array) -> list[BodyPart]:
@@ -60,31 +63,35 @@ def write_scene(found: Found, path: Path) -> None:
         scene_frames(found),
         tracks=found.tracks,
         bounds_m=room_bounds(found),
-        n_frames=len(session.frames),
+        n_frames=len(shown_frames(session.frames)),
     )
 
 
+def shown_frames(frames: range) -> range:
+    """All frames, or every k-th of a long recording."""
+    return frames[:: -(-len(frames) // _MOST_FRAMES) or 1]
+
+
 def scene_frames(found: Found) -> Iterator[SceneFrame]:
-    """The frames of the session in order, with pictures, hull and bodies; every product is opened once."""
+    """The frames that are shown, in order, with pictures, hull and bodies; every product is opened once."""
     from mocap.view import SceneFrame
 
     session = found.session
+    frames = shown_frames(session.frames)
     with ExitStack() as stack:
-        pictures = hulls = None
+        pictures = hull_of = None
         if session.image_sources:
-            pictures = iter(
-                stack.enter_context(FrameReader(session.image_sources, session.rig, session.frames))
-            )
+            pictures = iter(stack.enter_context(FrameReader(session.image_sources, session.rig, frames)))
         if found.hulls is not None:
-            hulls = read_hulls(found.hulls)
-        for frame in session.frames:
+            hull_of = partial(hull_at, found.hulls.reader(PRODUCT))
+        for frame in frames:
             rows = rows_at(found.poses, frame)
             images = next(pictures)[1] if pictures is not None else None
             yield SceneFrame(
                 frame=frame,
                 time_s=frame / session.fps,
                 images=dict(zip(session.rig.names, images, strict=True)) if images else None,
-                hull=next(hulls)[1] if hulls is not None else None,
+                hull=None if hull_of is None else hull_of(frame),
                 persons={p.person: p.landmarks[i] for p, i in rows},
                 parts={p.person: body_parts(p.body, p.states[i]) for p, i in rows},
             )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mocap.data import Hull, VoxelGrid
 from mocap.data.pixels import SilhouettePixels
 from mocap.data.voxels import Voxels
-from mocap.io.store import StageStore
+from mocap.io.store import StageReader, StageStore
 from mocap.volume import CameraFault
 
 PRODUCT = "carve"
@@ -87,6 +87,11 @@ def hull_from_arrays(grid: VoxelGrid, arrays: dict[str, NDArray[np.generic]]) ->
         arrays["n_views"].astype(np.uint8, copy=False),
         arrays["rgb"].astype(np.uint8, copy=False),
     )
+
+
+def hull_at(reader: StageReader, frame: int) -> Hull:
+    """The hull of one frame.  reader : of the product. Raises KeyError for a frame that it does not have."""
+    return hull_from_arrays(grid_from_attrs(reader.attrs), reader.read(frame))
 
 
 def pixels_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> SilhouettePixels:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from small_session import mocap
 
+from mocap.cli import progress
 from mocap.cli.progress import cell_progress, duration_text, progress_text
 from mocap.pipeline.cluster import Standing
 from mocap.portable import Stopped
@@ -41,6 +43,17 @@ def test_lines_are_rare_and_the_last_one_comes(capsys: pytest.CaptureFixture[str
     for n in range(301):
         say(Standing(300, n, 0, 0, 2, 0.1 * n))
     assert capsys.readouterr().err == "sweep: 300/300 cells, 2 workers\n"
+
+
+def test_the_time_left_is_that_of_what_was_done_since_the_stage_began(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter([0.0, 5.0, 12.0, 13.0, 60.0])
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    show = progress._lines()
+    for done in (100, 110, 124, 126, 200):  # 100 frames were there before: two a second since
+        show("pose", done, 200)
+    assert capsys.readouterr().err == "pose: 124/200, about 38 s left\npose: 200/200\n"
 
 
 def test_ctrl_c_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,21 +10,23 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_session import PLAIN, copy_session, mocap, set_options, small_session
 
 from mocap.compare import compare
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
-from mocap.pipeline import inputs, lock
+from mocap.pipeline import inputs, lock, scene_frames
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.export import export_run
-from mocap.pipeline.finished import read_record, rewrite_report, rewrite_scene
+from mocap.pipeline.finished import open_run, read_record, rewrite_report, rewrite_scene
 from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.lock import LOCK_NAME, sole_use
 from mocap.pipeline.publish import published
 from mocap.pipeline.record import record_to_json
 from mocap.pipeline.run import run_session
+from mocap.products.hulls import read_hulls
 
 SMALL = (*PLAIN, "volume.voxel_size_m=0.05")
 
@@ -117,6 +119,19 @@ def test_a_run_that_ends_earlier_leaves_what_it_wrote(
 ) -> None:
     run_session(session, out, config=config("bvh"), until=until, resume=True)
     assert names(out) == left | {"store.zarr"}
+
+
+def test_of_a_long_recording_the_scene_shows_every_so_many_frames(
+    session: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert scene_frames.shown_frames(range(10, 14)) == range(10, 14)
+    monkeypatch.setattr(scene_frames, "_MOST_FRAMES", 2)
+    shown = list(scene_frames.scene_frames(open_run(out, session).found))
+    hulls = dict(read_hulls(StageStore(out / "store.zarr")))
+    assert [item.frame for item in shown] == [0, 2]
+    for item in shown:
+        assert item.hull is not None
+        np.testing.assert_array_equal(item.hull.voxels, hulls[item.frame].voxels)
 
 
 def test_the_last_line_names_a_report_of_this_run_only(session: Path, out: Path) -> None:
