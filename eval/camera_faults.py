@@ -24,7 +24,7 @@ from eval.whole import write_csv
 from mocap.io.session import Session, open_session
 from mocap.io.video import FrameReader
 from mocap.pipeline.config import load_config
-from mocap.volume import ConsistencyMonitor, choose_grid, find_camera_faults
+from mocap.volume import ConsistencyMonitor, choose_grid, find_faults
 
 RESULTS = Path(__file__).with_name("results")
 FRAMES_OFF = 5
@@ -49,7 +49,7 @@ def evaluate(root: Path, source: str) -> list[Row]:
     true_faults = [f for f in truth.get("faults", []) if f["kind"] in RIGHT]
     lost = sum(f["n_frames"] for f in true_faults if f["kind"] == "dropped")
     session = open_session(root, frames=(0, truth["frames"] - lost) if lost else None)
-    found = find_camera_faults(watch(session, source).evidence())
+    found = find_faults(watch(session, source))
     rows: list[Row] = []
     for fault in true_faults:
         named = [f for f in found if f.camera == fault["camera"]]

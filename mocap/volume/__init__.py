@@ -1,6 +1,12 @@
 """Silhouettes to voxels: carving, surface, visibility and colour, components; and what masks say about cameras."""
 
-from mocap.volume.camera_faults import CameraFault, find_camera_faults, find_misfits, usable_cameras
+from mocap.volume.camera_faults import (
+    CameraFault,
+    find_camera_faults,
+    find_faults,
+    find_misfits,
+    usable_cameras,
+)
 from mocap.volume.carve import Carver, VoteVolume, carve_bruteforce, default_min_views, votes_bruteforce
 from mocap.volume.coarsen import CoarseVoxels, coarsen
 from mocap.volume.colour import colour_hull, visible_views
@@ -27,6 +33,7 @@ __all__ = [
     "connected_components",
     "default_min_views",
     "find_camera_faults",
+    "find_faults",
     "find_misfits",
     "learn_occluders",
     "masks_by_cells",

@@ -18,7 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import CameraRig, Occluders
-from mocap.volume.consistency import MAX_LAG_FRAMES, MIN_CELLS, SHRINK, SilhouetteEvidence, Snapshot
+from mocap.volume.consistency import (
+    MAX_LAG_FRAMES,
+    MIN_CELLS,
+    SHRINK,
+    ConsistencyMonitor,
+    SilhouetteEvidence,
+    Snapshot,
+)
 from mocap.volume.rig_agreement import MaskSample, Misfit, rig_agreement
 
 Array = NDArray[np.float64]
@@ -152,6 +159,18 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
     return tuple(sorted(found, key=lambda f: (f.first_frame, f.camera)))
 
 
+def find_faults(monitor: ConsistencyMonitor) -> tuple[CameraFault, ...]:
+    """What `find_camera_faults` and `find_misfits` say of a recording, by first frame.
+
+    A camera that never fits is judged by its outlines, which tell how far it is off.
+    """
+    faults = find_camera_faults(monitor.evidence())
+    misfits = find_misfits(monitor.rig, monitor.mask_samples(), faults, monitor.occluders)
+    named = {fault.camera for fault in misfits if fault.camera}
+    faults = tuple(f for f in faults if f.camera not in named)
+    return tuple(sorted(faults + misfits, key=lambda f: (f.first_frame, f.camera)))
+
+
 def find_misfits(
     rig: CameraRig,
     samples: Sequence[MaskSample],
@@ -160,14 +179,15 @@ def find_misfits(
 ) -> tuple[CameraFault, ...]:
     """Cameras that stand elsewhere than their calibration says all the time, of two at most; or that the rig disagrees.
 
-    samples : of the whole clip, in order.  faults : known of cameras, which are not looked at where they have one.
+    samples : of the whole clip, in order.  faults : known of cameras, which are not looked at where they have one, but
+    for those of which a wrong calibration may be the reason.
     """
     if len(samples) < _MIN_FRAMES:
         return ()
     frames = np.array([sample.frame for sample in samples])
     is_well = np.ones((len(frames), len(rig)), dtype=np.bool_)
     for fault in faults:
-        if fault.camera:
+        if fault.camera and not _may_be_calibration(fault):
             is_bad = (frames >= fault.first_frame) & (frames <= fault.last_frame)
             is_well[is_bad, rig.names.index(fault.camera)] = False
     samples = [
@@ -179,6 +199,10 @@ def find_misfits(
     if found.misfits:
         return tuple(_miscalibrated(replace(whole, camera=name), m) for name, m in found.misfits.items())
     return () if found.is_decided or not np.isfinite(found.offset_m) else (whole,)
+
+
+def _may_be_calibration(fault: CameraFault) -> bool:
+    return fault.kind in ("moved", "misfit") and fault.is_from_start and fault.is_to_end
 
 
 def _miscalibrated(fault: CameraFault, misfit: Misfit) -> CameraFault:

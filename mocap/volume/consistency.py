@@ -137,6 +137,11 @@ class ConsistencyMonitor:
                 lambda: _Packed(frame, tuple(np.packbits(mask, axis=1) for mask in masks), self._places)
             )
 
+    @property
+    def occluders(self) -> Occluders | None:
+        """What is known to stand before people."""
+        return self._carver.occluders
+
     def mask_samples(self) -> list[MaskSample]:
         """Whole masks of some frames with people, evenly spread."""
         widths = [camera.size[0] for camera in self.rig]

@@ -19,6 +19,7 @@ from mocap.pose.deviation import (
     landmark_covariances,
     landmark_kind,
     limb_misfit,
+    widened,
 )
 from mocap.pose.follow import point_estimate, unbroken
 from mocap.pose.method import UNCERTAINTY, DeviationSettings, Method
@@ -202,3 +203,12 @@ def test_point_estimates_of_a_filters_particles(kind: str) -> None:
             mean_state(flesh.body, one.particles, one.weights, one.particles[0]), one.particles[0], atol=1e-9
         )
     assert np.linalg.norm(landmarks_of(flesh.body, found[None]) - landmarks_of(flesh.body, truth[None])) < 1.0
+
+
+def test_a_rig_that_disagrees_widens_every_region() -> None:
+    settings = DeviationSettings()
+    covariance = np.broadcast_to(np.diag([1e-4, 4e-4, 9e-4]), (2, 15, 3, 3))
+    np.testing.assert_array_equal(widened(covariance, 0.0, settings), covariance)
+    wider = widened(covariance, 0.03, settings)
+    extra = (settings.per_rig_offset * 0.03) ** 2
+    np.testing.assert_allclose(wider - covariance, np.broadcast_to(extra * np.eye(3), wider.shape))

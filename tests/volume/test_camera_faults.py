@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from eval.bench.scene import person_mask, ring
 from eval.camera_faults import evaluate
-from mocap.data import VoxelGrid
+from mocap.data import CameraRig, VoxelGrid
 from mocap.io.calibration import write_calibration
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
-from mocap.products.hulls import stored_faults
+from mocap.products.hulls import rig_offset_m, stored_faults
 from mocap.volume import CameraFault, ConsistencyMonitor, find_camera_faults, usable_cameras
 from mocap.volume.camera_faults import background_shift, fit_states
 from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, SilhouetteEvidence, Snapshot
@@ -325,6 +325,29 @@ def test_the_carve_stage_warns_and_goes_on_with_the_other_cameras(tmp_path: Path
     )
     assert again.reused == ("segment", "occluders", "carve")
     assert any("cam_3 moved" in w for w in again.warnings)
+
+
+def test_a_wrong_calibration_is_named_left_out_and_else_widens_the_regions(tmp_path: Path) -> None:
+    masks = [camera[:40:2] for camera in clean()]
+    session = mask_session(tmp_path / "session", masks)
+    turn = Rotation.from_rotvec([0.0, np.radians(2.0), 0.0]).as_matrix()
+    cameras = [
+        replace(c, R=turn.T @ c.R, t=-turn.T @ c.R @ c.center) if c.name == "cam_2" else c for c in RIG
+    ]
+    write_calibration(session / "calibration.toml", CameraRig(tuple(cameras)))
+    for mode, is_out in (("exclude", True), ("warn", False)):
+        config = load_config("default", ("volume.voxel_size_m=0.05", f"volume.on_bad_camera={mode}"))
+        result = run_session(session, tmp_path / mode, config=config, until="carve")
+        store = StageStore(tmp_path / mode / "store.zarr")
+        (fault,) = stored_faults(store)
+        assert (fault.camera, fault.kind) == ("cam_2", "calibration")
+        assert fault.turn_deg == pytest.approx(2.0, abs=0.2)
+        assert any("cam_2 does not stand where its calibration says" in w for w in result.warnings)
+        used = np.array([arrays["used"] for _, arrays in store.reader("carve")])
+        assert np.all(used[:, 2] == (not is_out))
+        assert used[:, [0, 1, 3, 4, 5, 6]].all()
+        # What is left out harms nobody.
+        assert rig_offset_m(store) == (0.0 if is_out else fault.offset_m)
 
 
 @pytest.mark.slow

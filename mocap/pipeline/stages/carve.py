@@ -35,8 +35,7 @@ from mocap.volume import (
     ConsistencyMonitor,
     choose_grid,
     colour_hull,
-    find_camera_faults,
-    find_misfits,
+    find_faults,
     surface_voxels,
     usable_cameras,
 )
@@ -193,8 +192,7 @@ def _finish(walk: _Walk) -> Ending:
     session, config, rig = walk.carving.session, walk.carving.config, walk.carving.rig
     faults = walk.faults
     if walk.monitor is not None:
-        faults = find_camera_faults(walk.monitor.evidence())
-        faults += find_misfits(rig, walk.monitor.mask_samples(), faults, walk.carving.occluders)
+        faults = find_faults(walk.monitor)
         if (
             config.volume.on_bad_camera == "exclude"
             and not usable_cameras(faults, rig.names, np.array(session.frames)).all()
