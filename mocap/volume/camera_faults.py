@@ -179,23 +179,19 @@ def find_misfits(
 ) -> tuple[CameraFault, ...]:
     """Cameras that stand elsewhere than their calibration says all the time, of two at most; or that the rig disagrees.
 
-    samples : of the whole clip, in order.  faults : known of cameras, which are not looked at where they have one, but
-    for those of which a wrong calibration may be the reason.
+    samples : of the whole clip, in order.  faults : known of cameras, which are not judged then, unless a wrong
+    calibration may be the reason.
     """
     if len(samples) < _MIN_FRAMES:
         return ()
-    frames = np.array([sample.frame for sample in samples])
-    is_well = np.ones((len(frames), len(rig)), dtype=np.bool_)
-    for fault in faults:
-        if fault.camera and not _may_be_calibration(fault):
-            is_bad = (frames >= fault.first_frame) & (frames <= fault.last_frame)
-            is_well[is_bad, rig.names.index(fault.camera)] = False
+    changing = {fault.camera for fault in faults if not _may_be_calibration(fault)}
+    is_well = [name not in changing for name in rig.names]
     samples = [
-        replace(sample, masks=[m if w else None for m, w in zip(sample.masks, well, strict=True)])
-        for sample, well in zip(samples, is_well, strict=True)
+        replace(sample, masks=[m if w else None for m, w in zip(sample.masks, is_well, strict=True)])
+        for sample in samples
     ]
     found = rig_agreement(rig, samples, occluders)
-    whole = CameraFault("", "rig", int(frames[0]), int(frames[-1]), True, True, offset_m=found.offset_m)
+    whole = CameraFault("", "rig", samples[0].frame, samples[-1].frame, True, True, offset_m=found.offset_m)
     if found.misfits:
         return tuple(_miscalibrated(replace(whole, camera=name), m) for name, m in found.misfits.items())
     return () if found.is_decided or not np.isfinite(found.offset_m) else (whole,)
