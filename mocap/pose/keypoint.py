@@ -75,9 +75,11 @@ class KeypointEvidence:
 
     @cached_property
     def places(self) -> Array:
-        """The person's points (N, 3) m on which views agree; the body's places where a single view sees it."""
+        """The person's points (N, 3) m on which views agree; where no two do, the world's origin, where no candidate
+        can win."""
         found = points_of(self.views, self.tools.numbers)
-        return found[np.isfinite(found).all(axis=1)]
+        known = np.isfinite(found).all(axis=1)
+        return found[known] if known.any() else np.zeros((1, 3))
 
     @cached_property
     def coarse(self) -> KeypointEvidence:

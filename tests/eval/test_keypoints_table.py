@@ -1,0 +1,58 @@
+"""The keypoints table: how estimates and true persons are put together and scored."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eval.keypoints import DEV, cases, landmarks_of_points, scores
+from mocap.data import LANDMARKS, Motion
+from mocap.data.keypoints import KEYPOINTS, N_KEYPOINTS
+
+
+def motion(person: int, x: float, n: int = 12) -> Motion:
+    rng = np.random.default_rng(person)
+    landmarks = rng.uniform(-0.4, 0.4, (1, len(LANDMARKS), 3)) + np.linspace(0, 1, n)[:, None, None]
+    return Motion(person, np.arange(n), np.arange(n) / 30.0, landmarks + np.array([x, 0.0, 0.0]))
+
+
+def test_the_truth_has_no_error_whatever_the_order() -> None:
+    truth = [motion(1, 0.0), motion(2, 3.0)]
+    row = scores(truth[::-1], truth, 12)
+    assert (row["persons"], row["found"], row["mmta_percent"]) == (2, 2, 100.0)
+    assert row["mean_error_mm"] == row["mean_error_after_offset_mm"] == 0.0
+
+
+def test_who_is_not_found_is_no_error_but_is_missing() -> None:
+    truth = [motion(1, 0.0), motion(2, 3.0)]
+    row = scores(truth[:1], truth, 12)
+    assert (row["found"], row["mean_error_mm"], row["mmta_percent"]) == (1, 0.0, 50.0)
+    far = replace(truth[1], landmarks=truth[1].landmarks + 1.0)
+    assert scores([truth[0], far], truth, 12)["found"] == 1
+
+
+def test_a_shift_is_the_raw_error_and_a_landmark_without_an_estimate_is_missing() -> None:
+    truth = motion(1, 0.0)
+    landmarks = truth.landmarks + np.array([0.0, 0.0, 0.03])
+    landmarks[:, 3] = np.nan
+    row = scores([replace(truth, landmarks=landmarks)], [truth], 12)
+    assert row["mean_error_mm"] == pytest.approx(30.0)
+    assert row["mmta_percent"] == pytest.approx(100 * 14 / 15, abs=0.01)
+
+
+def test_landmarks_that_no_tool_names_are_midpoints() -> None:
+    points = np.arange(3.0 * N_KEYPOINTS).reshape(-1, 3)
+    found = landmarks_of_points(points)
+    hips = points[[KEYPOINTS.index("left_hip"), KEYPOINTS.index("right_hip")]]
+    np.testing.assert_allclose(found[LANDMARKS.index("pelvis")], hips.mean(axis=0))
+    np.testing.assert_allclose(found[LANDMARKS.index("left_knee")], points[KEYPOINTS.index("left_knee")])
+
+
+def test_triangulation_needs_no_seeds() -> None:
+    if not DEV.is_dir():
+        pytest.skip("the development sessions are not there")
+    wanted = list(cases(["room"], [2, 7], ["triangulation", "keypoints"], 3))
+    assert {c.cameras for c in wanted} == {2, 5}
+    assert [c.seed for c in wanted if c.method == "triangulation"] == [0, 0]
