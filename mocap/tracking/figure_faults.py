@@ -193,8 +193,10 @@ def _of_camera(clip: Clip, camera: int) -> FigureFault | None:
         return None
     return FigureFault(
         f"the keypoints of camera {name} do not agree with those of the others: half of them lie further than "
-        f"{1000 * own:.0f} mm from where the others see the person",
-        "check that they are of this camera, clip and calibration, or leave the camera out (session.toml: cameras)",
+        f"{1000 * own:.0f} mm from whom the others see. It shows somebody whom no other camera shows, or its "
+        "keypoints are of another camera, clip or calibration",
+        "detect all persons in all pictures (who is seen by one camera alone is not followed), check the files, or "
+        "leave the camera out (session.toml: cameras)",
         camera,
     )
 

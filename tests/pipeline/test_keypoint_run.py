@@ -94,3 +94,13 @@ def test_nobody_in_the_keypoints_is_said(tmp_path: Path) -> None:
     )
     assert result.poses == ()
     assert any("nobody was found in the keypoints" in w for w in result.warnings)
+
+
+def test_whom_one_camera_alone_shows_is_said(tmp_path: Path) -> None:
+    """A detector that gives one person per picture may show the second one to a single camera all the time."""
+    world = keypoint_world(12, apart_m=1.1)
+    figures = [[[p[1 if c == 0 else 0]] for c, p in enumerate(frame)] for frame in world.figures]
+    root = write_keypoint_session(world, tmp_path / "session", figures)
+    result = run_session(root, tmp_path / "out", config=config(), until="track")
+    (warning,) = [w for w in result.warnings if "whom no other camera shows" in w]
+    assert "the keypoints of camera cam_0 do not agree" in warning
