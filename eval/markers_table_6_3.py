@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eval.whole import save_figure, write_csv
+from mocap.body import Body
+from mocap.body.markers import Markers
 from mocap.likelihood.markers import MarkerObservation, MarkerViews, marker_views, observe
 from mocap.pipeline.config import Config, load_config
+from mocap.pose.marker import MarkerTools
 from mocap.pose.marker_person import Prepared, prepare_person
 
 Array = NDArray[np.float64]
@@ -88,8 +91,11 @@ class Clip:
         return range(len(self.landmarks))
 
 
-def make_clip(action: str, n_frames: int | None) -> Clip:
-    """The markers of a scene's person in every picture, what hides them, and the truth; nothing is rendered."""
+def make_clip(action: str, n_frames: int | None, *, in_joints: bool = False) -> Clip:
+    """The markers of a scene's person in every picture, what hides them, and the truth; nothing is rendered.
+
+    in_joints : the fifteen landmarks themselves are the markers, as in CF 6.6.1, instead of twenty on the skin.
+    """
     from mocap.synth.markers import Sight
     from mocap.synth.render import CameraView
     from mocap.synth.scene import load_scene
@@ -106,13 +112,20 @@ def make_clip(action: str, n_frames: int | None) -> Clip:
         posed = world.at(float(frame), with_light=False)
         for witness, view in looking:
             witness.look(view, posed, float(frame), is_off=False)
+    landmarks = world.actors[0].landmarks[: document["n_frames"]]
+    if in_joints:
+        uv = [np.stack([view.camera.project(x)[0] for x in landmarks])[:, None] for _, view in looking]
+        states = [np.stack(w.landmark_states) for w, _ in looking]
+    else:
+        uv = [np.stack(w.marker_uvs) for w, _ in looking]
+        states = [np.stack(w.marker_states) for w, _ in looking]
     return Clip(
         action,
         scene.fps,
         marker_views(world.rig),
-        world.actors[0].landmarks[: document["n_frames"]],
-        tuple(np.stack(w.marker_uvs) for w, _ in looking),
-        tuple(np.stack(w.marker_states) == Sight.VISIBLE for w, _ in looking),
+        landmarks,
+        tuple(uv),
+        tuple(s == Sight.VISIBLE for s in states),
         tuple(np.stack(w.boxes) for w, _ in looking),
     )
 
@@ -138,11 +151,12 @@ def observations(clip: Clip, detector: Detector, seed: int) -> list[MarkerObserv
     return [observe(clip.views, [uv[frame == t] for frame, uv in found]) for t in clip.frames]
 
 
-def configuration(which: Filter) -> Config:
-    """The preset of a row with its layers, particles and cost."""
+def configuration(which: Filter, *settings: str) -> Config:
+    """The preset of a row with its layers, particles and cost, and further settings."""
     return load_config(
         "reference_markers" if which.mode == "filter" else "default",
         (
+            *settings,
             f"pose.n_layers={which.n_layers}",
             f"pose.n_particles={which.n_particles}",
             *((f"markers.reprojection_weight={_WEIGHT[which.cost]}",) if which.mode == "filter" else ()),
@@ -150,27 +164,39 @@ def configuration(which: Filter) -> Config:
     )
 
 
-def prepare(clip: Clip, seed: int) -> Prepared | None:
-    """Body, markers and first pose of a clip's person, found by the default preset at the detector of Table 6.3."""
-    seen = observations(clip, TABLE_DETECTOR, seed)
+def prepare(
+    clip: Clip,
+    seed: int,
+    *,
+    detector: Detector = TABLE_DETECTOR,
+    markers_of: Callable[[Body], Markers] | None = None,
+) -> Prepared | None:
+    """Body, markers and first pose of a clip's person, found by the default preset.
+
+    markers_of : where the markers sit on a body; the preset's set when absent.
+    """
+    seen = observations(clip, detector, seed)
     from mocap.pipeline.pose_settings import make_marker_tools
 
-    return prepare_person(
-        clip.frames,
-        lambda f: seen[f],
-        lambda height_m: make_marker_tools(load_config(), clip.fps, height_m),
-        height_m=None,
-        seed=seed,
-    )
+    def tools_of(height_m: float) -> MarkerTools:
+        tools = make_marker_tools(load_config(), clip.fps, height_m)
+        return tools if markers_of is None else replace(tools, markers=markers_of(tools.body))
+
+    return prepare_person(clip.frames, lambda f: seen[f], tools_of, height_m=None, seed=seed)
 
 
-def run_cell(clip: Clip, person: Prepared, detector: Detector, which: Filter, seed: int) -> dict[str, Any]:
-    """One clip, detector and filter: errors in mm over all landmarks and frames.  Source: CF Table 6.3."""
+def run_cell(
+    clip: Clip, person: Prepared, detector: Detector, which: Filter, seed: int, settings: Sequence[str] = ()
+) -> dict[str, Any]:
+    """One clip, detector and filter: errors in mm over all landmarks and frames.  Source: CF Table 6.3.
+
+    settings : of the preset, besides those of the filter.
+    """
     from mocap.pipeline.pose_settings import marker_tools
     from mocap.pose.marker_person import follow_prepared
 
     seen = observations(clip, detector, seed)
-    config = configuration(which)
+    config = configuration(which, *settings)
     tools = marker_tools(person.tools.body, person.tools.markers, person.tools.fps, config)
     poses = follow_prepared(clip.frames, lambda f: seen[f], replace(person, tools=tools), seed=seed)
     error = 1000.0 * np.linalg.norm(poses.landmarks - clip.landmarks, axis=2)

@@ -1,0 +1,52 @@
+"""The conditions of the marker filter: each is one thing, and worlds are what they say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from test_markers_table import clip, known_person
+
+from eval.markers_conditions import CONDITIONS, PERFECT, SOURCE, joint_markers, magnified
+from eval.markers_table_6_3 import TABLE_DETECTOR, TABLE_FILTER, observations, run_cell
+from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
+from mocap.body.markers import marker_positions
+
+
+def test_joint_markers_are_the_landmarks() -> None:
+    body = scale_body(load_body_model("anthropometric"), 1.7)
+    states = neutral_state(body) + 0.1 * np.random.default_rng(0).normal(size=(3, body.layout.n_columns))
+    np.testing.assert_allclose(
+        marker_positions(body, joint_markers(body), states), landmarks_of(body, states), atol=1e-12
+    )
+
+
+def test_magnified_pictures_show_the_same_rays() -> None:
+    one = clip()
+    two = magnified(one, 2.0)
+    for a, b, uv in zip(one.views.rig, two.views.rig, two.uv, strict=True):
+        assert b.size == (2 * a.size[0], 2 * a.size[1])
+        seen = one.landmarks[0]
+        np.testing.assert_allclose(b.project(seen)[0], 2.0 * a.project(seen)[0], atol=1e-9)
+        assert uv.shape == one.uv[0].shape
+    count = sum(len(o.uv) for o in observations(two, PERFECT, 0))
+    assert count == sum(len(o.uv) for o in observations(one, PERFECT, 0))
+
+
+def test_a_condition_changes_what_its_name_says() -> None:
+    table = CONDITIONS["table"]
+    assert (table.detector, table.filter, table.gate_px) == (TABLE_DETECTOR, TABLE_FILTER, 20.0)
+    assert replace(SOURCE, in_joints=False, knows_body=False) == table
+    for name, one in CONDITIONS.items():
+        base = table if name.startswith("table") else SOURCE
+        changed = [f for f in vars(one) if getattr(one, f) != getattr(base, f)]
+        assert len(changed) == (0 if name in ("table", "source") else 1 + ("perfect detector," in name)), name
+
+
+def test_settings_reach_the_filter() -> None:
+    quick = replace(TABLE_FILTER, n_particles=40)
+    plain, narrow = (
+        run_cell(clip(), known_person(), TABLE_DETECTOR, quick, 0, settings)
+        for settings in ((), ("markers.gate_px=5.0", "pose.noise_scale=0.25"))
+    )
+    assert plain["mean_error_mm"] != narrow["mean_error_mm"]
