@@ -9,23 +9,25 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mocap.likelihood.residuals._nearest_kernels import nearest_to_rays
 from mocap.likelihood.residuals._pull_kernels import (
     FleshPoints,
     add_pull,
-    bounding_spheres,
-    cone_in_turn,
     place_body,
     robust_loss,
     spread_pulls,
+    taper_of,
 )
 
 
 class Rays(NamedTuple):
-    """Rays through outline points.  origins, directions, normals : (M, 3), world; see `outlines.Outlines`."""
+    """Rays through outline points.  origins, directions, normals : (M, 3), world; see `outlines.Outlines`.  columns :
+    (9, M), the three as `nearest_to_rays` takes them."""
 
     origins: NDArray[np.float64]
     directions: NDArray[np.float64]
     normals: NDArray[np.float64]
+    columns: NDArray[np.float32]
 
 
 class Pinholes(NamedTuple):
@@ -93,6 +95,27 @@ def _foot_on_axis(aa, au, aw, uw):
 
 
 @njit(cache=True, nogil=True)
+def _foot_of_ray(o, u, start, end, k):
+    """Where a ray passes the axis of cone k: place along it in [0, 1], depth along the ray, and the way from the axis
+    to the ray, three numbers.  o, u : three numbers each, origin and direction."""
+    ax = end[k, 0] - start[k, 0]
+    ay = end[k, 1] - start[k, 1]
+    az = end[k, 2] - start[k, 2]
+    wx = start[k, 0] - o[0]
+    wy = start[k, 1] - o[1]
+    wz = start[k, 2] - o[2]
+    au = ax * u[0] + ay * u[1] + az * u[2]
+    aw = ax * wx + ay * wy + az * wz
+    uw = u[0] * wx + u[1] * wy + u[2] * wz
+    s = min(max(_foot_on_axis(ax * ax + ay * ay + az * az + 1e-12, au, aw, uw), 0.0), 1.0)
+    fx = wx + s * ax
+    fy = wy + s * ay
+    fz = wz + s * az
+    depth = fx * u[0] + fy * u[1] + fz * u[2]
+    return s, depth, (depth * u[0] - fx, depth * u[1] - fy, depth * u[2] - fz)
+
+
+@njit(cache=True, nogil=True)
 def outline_to_body(rays, placed, cones, pull, pulls):
     """Pull the flesh until the rays through the outlines touch it; returns the robust cost.
 
@@ -100,94 +123,32 @@ def outline_to_body(rays, placed, cones, pull, pulls):
     the direction from the cone's axis to the ray.
     """
     # Unpacked once: taken from a tuple inside the loop each array would cost a reference count.
-    origins, directions, normals = rays
-    start, radii, cone_joint = placed.start, cones.radii, cones.joint
-    scale, normal_cost = pull.scale_m, pull.normal_cost_m
-    n_cones = start.shape[0]
+    origins, directions, normals, columns = rays
+    start, end, radii, cone_joint = placed.start, placed.end, cones.radii, cones.joint
+    scale = pull.scale_m
+    nearest = nearest_to_rays(columns, placed, radii, pull.normal_cost_m)
     cost = 0.0
-    middle, axis, squared, reach = bounding_spheres(placed, radii, 0.0)
-    hint = 0
     for i in range(origins.shape[0]):
-        ox = origins[i, 0]
-        oy = origins[i, 1]
-        oz = origins[i, 2]
-        ux = directions[i, 0]
-        uy = directions[i, 1]
-        uz = directions[i, 2]
-        best = np.inf
-        best_root = np.inf
-        best_r = 0.0
-        best_k = -1
-        best_cos = 0.0
-        best_depth = 0.0
-        nx = 0.0
-        ny = 0.0
-        nz = 0.0
-        taper = 0.0
-        for order in range(n_cones):
-            k = cone_in_turn(order, hint)
-            # Distance of the ray to the cone's bounding sphere: most cones are out of the question.
-            mx = middle[k, 0] - ox
-            my = middle[k, 1] - oy
-            mz = middle[k, 2] - oz
-            along_ray = mx * ux + my * uy + mz * uz
-            limit = reach[k] + best_root
-            if mx * mx + my * my + mz * mz - along_ray * along_ray > limit * limit or along_ray < 0.0:
-                continue
-            ax = axis[k, 0]
-            ay = axis[k, 1]
-            az = axis[k, 2]
-            wx = start[k, 0] - ox
-            wy = start[k, 1] - oy
-            wz = start[k, 2] - oz
-            aa = squared[k]
-            au = ax * ux + ay * uy + az * uz
-            aw = ax * wx + ay * wy + az * wz
-            uw = ux * wx + uy * wy + uz * wz
-            along = _foot_on_axis(aa, au, aw, uw)
-            s = min(max(along, 0.0), 1.0)
-            fx = wx + s * ax
-            fy = wy + s * ay
-            fz = wz + s * az
-            depth = fx * ux + fy * uy + fz * uz
-            # From the point on the axis to the nearest point of the ray.
-            dx = depth * ux - fx
-            dy = depth * uy - fy
-            dz = depth * uz - fz
-            length = math.sqrt(dx * dx + dy * dy + dz * dz)
-            r = length - (radii[k, 0] + s * (radii[k, 1] - radii[k, 0]))
-            if r * r >= best:
-                continue
-            inv = 1.0 / max(length, 1e-9)
-            cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) * inv
-            miss = normal_cost * (1.0 - cosine)
-            score = r * r + miss * miss
-            if score < best:
-                best = score
-                best_root = math.sqrt(score)
-                best_r = r
-                best_k = k
-                best_cos = cosine
-                best_depth = depth
-                nx = dx * inv
-                ny = dy * inv
-                nz = dz * inv
-                taper = (radii[k, 1] - radii[k, 0]) / aa if s == along else 0.0
-        if best_k < 0:
+        k = nearest[i]
+        if k < 0:
             cost += 0.5 * scale * scale
             continue
-        hint = best_k
-        loss, weight = robust_loss(best_r, scale, 1.0)
+        o = (origins[i, 0], origins[i, 1], origins[i, 2])
+        u = (directions[i, 0], directions[i, 1], directions[i, 2])
+        s, depth, d = _foot_of_ray(o, u, start, end, k)
+        length = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+        inv = 1.0 / max(length, 1e-9)
+        cosine = (d[0] * normals[i, 0] + d[1] * normals[i, 1] + d[2] * normals[i, 2]) * inv
+        widening = radii[k, 1] - radii[k, 0]
+        r = length - (radii[k, 0] + s * widening)
+        loss, weight = robust_loss(r, scale, 1.0)
         cost += loss
-        weight *= max(best_cos, 0.0)
+        weight *= max(cosine, 0.0)
         if weight > 1e-4:
-            at = (ox + best_depth * ux, oy + best_depth * uy, oz + best_depth * uz)
-            n = (
-                taper * axis[best_k, 0] - nx,
-                taper * axis[best_k, 1] - ny,
-                taper * axis[best_k, 2] - nz,
-            )
-            add_pull(at, n, best_r, weight, cone_joint[best_k], pulls)
+            at = (o[0] + depth * u[0], o[1] + depth * u[1], o[2] + depth * u[2])
+            t = taper_of(start, end, k, widening, s)
+            n = (t[0] - d[0] * inv, t[1] - d[1] * inv, t[2] - d[2] * inv)
+            add_pull(at, n, r, weight, cone_joint[k], pulls)
     return cost
 
 

@@ -8,7 +8,6 @@ Source: the composite-body recursion of rigid-body dynamics, R. Featherstone, Ri
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -66,24 +65,35 @@ def place_body(state, body, flesh):
 
 
 @njit(cache=True, nogil=True)
-def bounding_spheres(placed, radii, excess):
-    """Spheres about the cones grown by excess: middle (K, 3), axis (K, 3), its squared length (K,), and radius (K,)."""
-    middle = 0.5 * (placed.start + placed.end)
-    axis = placed.end - placed.start
-    squared = np.empty(radii.shape[0])
-    reach = np.empty(radii.shape[0])
-    for k in range(radii.shape[0]):
-        squared[k] = axis[k, 0] ** 2 + axis[k, 1] ** 2 + axis[k, 2] ** 2 + 1e-12
-        reach[k] = 0.5 * math.sqrt(squared[k]) + max(radii[k, 0], radii[k, 1]) + excess
-    return middle, axis, squared, reach
+def from_axis(at, start, end, k):
+    """Where a point lies beside the axis of cone k: place along it in [0, 1], and the way from there, three numbers.
+
+    at : three numbers.  start, end : (K, 3).
+    """
+    ax = end[k, 0] - start[k, 0]
+    ay = end[k, 1] - start[k, 1]
+    az = end[k, 2] - start[k, 2]
+    px = at[0] - start[k, 0]
+    py = at[1] - start[k, 1]
+    pz = at[2] - start[k, 2]
+    s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
+    s = min(max(s, 0.0), 1.0)
+    return s, px - s * ax, py - s * ay, pz - s * az
 
 
 @njit(cache=True, nogil=True)
-def cone_in_turn(order, hint):
-    """The order-th cone of a search that begins with the one of the point before: neighbours mostly share theirs."""
-    if order == 0:
-        return hint
-    return order - 1 if order <= hint else order
+def taper_of(start, end, k, widening, s):
+    """How the radius of cone k changes with the place, three numbers; widening : from its first radius to its last.
+
+    Beside the cone, at a place s in (0, 1), it changes along the axis; beyond its ends it does not.
+    """
+    if s <= 0.0 or s >= 1.0:
+        return 0.0, 0.0, 0.0
+    ax = end[k, 0] - start[k, 0]
+    ay = end[k, 1] - start[k, 1]
+    az = end[k, 2] - start[k, 2]
+    t = widening / (ax * ax + ay * ay + az * az + 1e-12)
+    return t * ax, t * ay, t * az
 
 
 @njit(cache=True, nogil=True)

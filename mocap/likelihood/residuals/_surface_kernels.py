@@ -9,14 +9,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mocap.likelihood.residuals._nearest_kernels import deepest_in_cones, nearest_to_points
 from mocap.likelihood.residuals._pull_kernels import (
     FleshPoints,
     add_pull,
-    bounding_spheres,
-    cone_in_turn,
+    from_axis,
     place_body,
     robust_loss,
     spread_pulls,
+    taper_of,
 )
 from mocap.likelihood.voxels.exact import OCCUPIED_BIT
 
@@ -35,10 +36,12 @@ class Blocks(NamedTuple):
 
 
 class HullPoints(NamedTuple):
-    """Surface of a hull.  points, normals : (M, 3) m, those that pull.  every : (N, 3) m, all, sorted into blocks."""
+    """Surface of a hull.  points, normals : (M, 3) m, those that pull.  columns : (6, M), both as `nearest_to_points`
+    takes them.  every : (N, 3) m, all, sorted into blocks."""
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
+    columns: NDArray[np.float32]
     every: NDArray[np.float64]
     blocks: Blocks
 
@@ -64,7 +67,7 @@ class SurfacePull(NamedTuple):
 
 
 class SurfaceTerms(NamedTuple):
-    """Everything of one frame that `surface_equations` takes.  may_meet : (M, P) bool, parts that a flesh point is
+    """Everything of one frame that `surface_equations` takes.  may_meet : (P, M) bool, parts that a flesh point is
     tested against."""
 
     hull: HullPoints
@@ -83,97 +86,34 @@ def is_occupied(crop, x, y, z):
 
 
 @njit(cache=True, nogil=True)
-def from_axis(at, start, end, k):
-    """Where a point lies beside the axis of cone k: place along it in [0, 1], and the way from there, three numbers.
-
-    at : three numbers.  start, end : (K, 3).
-    """
-    ax = end[k, 0] - start[k, 0]
-    ay = end[k, 1] - start[k, 1]
-    az = end[k, 2] - start[k, 2]
-    px = at[0] - start[k, 0]
-    py = at[1] - start[k, 1]
-    pz = at[2] - start[k, 2]
-    s = (px * ax + py * ay + pz * az) / (ax * ax + ay * ay + az * az + 1e-12)
-    s = min(max(s, 0.0), 1.0)
-    return s, px - s * ax, py - s * ay, pz - s * az
-
-
-@njit(cache=True, nogil=True)
 def hull_to_body(hull, placed, cones, pull, pulls):
     """Pull the nearest flesh to every hull surface point; returns the robust cost.
 
     The nearest cone is chosen by distance and by the angle between the outward normals.
     """
     # Unpacked once: taken from a tuple inside the loop each array would cost a reference count.
-    points, normals, start = hull.points, hull.normals, placed.start
+    points, normals, start, end = hull.points, hull.normals, placed.start, placed.end
     radii, cone_joint = cones.radii, cones.joint
-    excess, scale, normal_cost = pull.excess_m, pull.scale_m, pull.normal_cost_m
-    n_cones = start.shape[0]
+    excess, scale = pull.excess_m, pull.scale_m
+    nearest = nearest_to_points(hull.columns, placed, radii, excess, pull.normal_cost_m)
     cost = 0.0
-    # Most cones are out of the question at a glance at their spheres.
-    middle, axis, squared, reach = bounding_spheres(placed, radii, excess)
-    hint = 0
     for i in range(points.shape[0]):
-        x = points[i, 0]
-        y = points[i, 1]
-        z = points[i, 2]
-        best = np.inf
-        best_root = np.inf
-        best_r = 0.0
-        best_k = -1
-        best_cos = 0.0
-        nx = 0.0
-        ny = 0.0
-        nz = 0.0
-        taper = 0.0
-        for order in range(n_cones):
-            k = cone_in_turn(order, hint)
-            limit = reach[k] + best_root
-            mx = x - middle[k, 0]
-            my = y - middle[k, 1]
-            mz = z - middle[k, 2]
-            if mx * mx + my * my + mz * mz > limit * limit:
-                continue
-            px = x - start[k, 0]
-            py = y - start[k, 1]
-            pz = z - start[k, 2]
-            along = (px * axis[k, 0] + py * axis[k, 1] + pz * axis[k, 2]) / squared[k]
-            s = min(max(along, 0.0), 1.0)
-            dx = px - s * axis[k, 0]
-            dy = py - s * axis[k, 1]
-            dz = pz - s * axis[k, 2]
-            length = math.sqrt(dx * dx + dy * dy + dz * dz)
-            r = length - (radii[k, 0] + s * (radii[k, 1] - radii[k, 0])) - excess
-            if r * r >= best:
-                continue
-            inv = 1.0 / max(length, 1e-9)
-            cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) * inv
-            miss = normal_cost * (1.0 - cosine)
-            score = r * r + miss * miss
-            if score < best:
-                best = score
-                best_root = math.sqrt(score)
-                best_r = r
-                best_k = k
-                best_cos = cosine
-                nx = dx * inv
-                ny = dy * inv
-                nz = dz * inv
-                # Beside the cone the radius changes along the axis; beyond its ends it does not.
-                taper = (radii[k, 1] - radii[k, 0]) / squared[k] if s == along else 0.0
-        hint = max(best_k, 0)
-        loss, weight = robust_loss(best_r, scale, 1.0)
+        k = nearest[i]
+        at = (points[i, 0], points[i, 1], points[i, 2])
+        s, dx, dy, dz = from_axis(at, start, end, k)
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        inv = 1.0 / max(length, 1e-9)
+        cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) * inv
+        widening = radii[k, 1] - radii[k, 0]
+        r = length - (radii[k, 0] + s * widening) - excess
+        loss, weight = robust_loss(r, scale, 1.0)
         cost += loss
-        weight *= max(best_cos, 0.0)
+        weight *= max(cosine, 0.0)
         if weight > 1e-4:
             # d(residual) = -(gradient of the distance) . dx: it shrinks when the flesh moves outwards.
-            n = (
-                taper * axis[best_k, 0] - nx,
-                taper * axis[best_k, 1] - ny,
-                taper * axis[best_k, 2] - nz,
-            )
-            add_pull((x, y, z), n, best_r, weight, cone_joint[best_k], pulls)
+            t = taper_of(start, end, k, widening, s)
+            n = (t[0] - dx * inv, t[1] - dy * inv, t[2] - dz * inv)
+            add_pull(at, n, r, weight, cone_joint[k], pulls)
     return cost
 
 
@@ -333,50 +273,29 @@ def surface_normals(voxels, is_surface, crop, lower, ny, nz, radius, normals):
 
 
 @njit(cache=True, nogil=True)
-def _deepest_cone(at, meets, start, end, radii, part):
-    """The cone in which a point lies deepest: (depth, cone or -1, outward direction as three numbers).
-
-    meets : (P,) bool, parts whose cones count.
-    """
-    deepest = 0.0
-    other = -1
-    nx, ny, nz = 0.0, 0.0, 0.0
-    for k in range(start.shape[0]):
-        if not meets[part[k]]:
-            continue
-        s, dx, dy, dz = from_axis(at, start, end, k)
-        radius = radii[k, 0] + s * (radii[k, 1] - radii[k, 0])
-        square = dx * dx + dy * dy + dz * dz
-        if square >= radius * radius:
-            continue
-        length = math.sqrt(square)
-        depth = radius - length
-        if depth > deepest and length > 1e-6:
-            deepest = depth
-            other = k
-            nx, ny, nz = -dx / length, -dy / length, -dz / length
-    return deepest, other, (nx, ny, nz)
-
-
-@njit(cache=True, nogil=True)
 def self_penetration(placed, point_joint, may_meet, body, gain, H, g):
     """Push flesh points out of the cones of other parts; returns the cost.
 
-    may_meet : (M, P) bool, parts that a point is tested against. The derivative is that of the relative movement
+    may_meet : (P, M) bool, parts that a point is tested against. The derivative is that of the relative movement
     of the two parts.
     """
     t, axes, start, end, points = placed
-    radii, cone_joint, cone_part = body.cones.radii, body.cones.joint, body.cones.part
+    radii, cone_joint = body.cones.radii, body.cones.joint
     dof_joint, dof_column, moves = body.chain.dof_joint, body.chain.dof_column, body.moves
     n_dofs = dof_joint.shape[0]
     values = np.empty(n_dofs)
     used = np.empty(n_dofs, np.int64)
+    deepest_in = deepest_in_cones(points, may_meet, placed, body.cones)
     cost = 0.0
     for i in range(points.shape[0]):
-        at = (points[i, 0], points[i, 1], points[i, 2])
-        deepest, other, n = _deepest_cone(at, may_meet[i], start, end, radii, cone_part)
+        other = deepest_in[i]
         if other < 0:
             continue
+        at = (points[i, 0], points[i, 1], points[i, 2])
+        s, dx, dy, dz = from_axis(at, start, end, other)
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        n = (-dx / length, -dy / length, -dz / length)
+        deepest = radii[other, 0] + s * (radii[other, 1] - radii[other, 0]) - length
         cost += 0.5 * gain * deepest * deepest
         ja = point_joint[i]
         jb = cone_joint[other]

@@ -293,7 +293,7 @@ class OutlineProblem:
         settings, o = self.settings, self.outlines
         n_used = max(1, int((o.shape[:, 0] > 0).sum()))
         return OutlineTerms(
-            Rays(o.origins, o.directions, o.normals),
+            _rays(o.origins, o.directions, o.normals),
             FleshPoints(self._flesh, self._flesh_joint),
             self._cameras,
             Crops(o.corner, o.nearest, o.first, o.shape),
@@ -319,13 +319,18 @@ class OutlineProblem:
         return float(outline_equations(x, body.arrays, self.terms, H, g)), H, g
 
 
+def _rays(origins: Array, directions: Array, normals: Array) -> Rays:
+    columns = np.concatenate([origins, directions, normals], axis=1).T
+    return Rays(origins, directions, normals, np.ascontiguousarray(columns, dtype=np.float32))
+
+
 @cache
 def no_outline_terms() -> OutlineTerms:
     """`OutlineProblem.terms` where there are no outlines."""
     row, index = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     pairs = np.zeros((0, 2), dtype=np.int64)
     return OutlineTerms(
-        Rays(row, row, row),
+        _rays(row, row, row),
         FleshPoints(row, index),
         Pinholes(np.zeros((0, 3, 3)), row, np.zeros((0, 8))),
         Crops(pairs, np.zeros(0, dtype=np.int32), index, pairs),

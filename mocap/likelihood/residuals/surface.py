@@ -153,8 +153,10 @@ class SurfaceProblem:
         settings, volume = self.settings, self.hull.volume
         voxel = volume.grid.voxel_size_m
         per_flesh = len(self._points) / len(self._flesh)
+        both = np.concatenate([self._points, self._normals], axis=1)
+        columns = np.ascontiguousarray(both.T, dtype=np.float32)
         return SurfaceTerms(
-            HullPoints(self._points, self._normals, self.hull.points, self.hull.blocks),
+            HullPoints(self._points, self._normals, columns, self.hull.points, self.hull.blocks),
             FleshPoints(self._flesh, self._flesh_joint),
             self._may_meet,
             Volume(volume.crop, volume.lower_m, voxel),
@@ -208,15 +210,15 @@ class SurfaceProblem:
 def _parts_apart_at_rest(
     body: Body, flesh: Array, joint: NDArray[np.int64], part: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Parts that each flesh point is clear of in the rest pose, (M, P): neighbours at a joint touch always."""
+    """Parts that each flesh point is clear of in the rest pose, (P, M): neighbours at a joint touch always."""
     R, t = joint_transforms(body, np.zeros((1, body.layout.n_columns)))
     points = np.einsum("mrc,mc->mr", R[0, joint], flesh) + t[0, joint]
     start, end = cones_of(body, np.zeros(body.layout.n_columns))
-    apart = np.ones((len(flesh), body.layout.n_parts), dtype=np.bool_)
+    apart = np.ones((body.layout.n_parts, len(flesh)), dtype=np.bool_)
     for p in range(body.layout.n_parts):
         rows = body.cones.part == p
         distance = np.empty(len(points))
         distance_to_cones(points, start[rows], end[rows], body.cones.radii[rows], distance)
-        apart[:, p] = distance > _APART_M
-    apart[np.arange(len(flesh)), part] = False
+        apart[p] = distance > _APART_M
+    apart[part, np.arange(len(flesh))] = False
     return apart
