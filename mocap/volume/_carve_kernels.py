@@ -9,9 +9,11 @@ make the compiler emit a wrap-around test per access.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 DROP, KEEP, DESCEND = 0, 1, 2
 TIE_PX = 1e-7  # values this close below a rounding tie count as the tie; see carve.nearest_pixel
@@ -282,6 +284,70 @@ def sum_up_block(n_seen, n_hidden, box4, all4, some4, high4, box8, all8, some8, 
     return merge_blocks(box8, all8, some8, high8, np.arange(8), box16)
 
 
+class Blocks(NamedTuple):
+    """Blocks of one size.  box : (B, C, 4) int16, pixel boxes.  sees_all, sees_some : (B,) int64 bit sets, cameras that
+    see all or some of each.  high : (B,) uint8, most views of one voxel.  counts : (3,) blocks along each axis."""
+
+    box: NDArray[np.int16]
+    sees_all: NDArray[np.int64]
+    sees_some: NDArray[np.int64]
+    high: NDArray[np.uint8]
+    counts: NDArray[np.int64]
+
+
+class InnerBlocks(NamedTuple):
+    """`Blocks` of one size inside blocks of 16: (T, n, ...) for the T tables there are."""
+
+    box: NDArray[np.int16]
+    sees_all: NDArray[np.int64]
+    sees_some: NDArray[np.int64]
+    high: NDArray[np.uint8]
+
+
+class Tables(NamedTuple):
+    """Exact tables of blocks of 16.  slot : (B,) int32, where those of each block lie, -1 = it has none.  eight, four :
+    its blocks of 8 and 4.  pixels : (T, 64, C, 64) int32, of `enter_pixels`.  n_seen, n_hidden : (T, 64, 64) uint8."""
+
+    slot: NDArray[np.int32]
+    eight: InnerBlocks
+    four: InnerBlocks
+    pixels: NDArray[np.int32]
+    n_seen: NDArray[np.uint8]
+    n_hidden: NDArray[np.uint8]
+
+
+class Integrals(NamedTuple):
+    """Integral images of all cameras end to end, each of the rectangle around its foreground alone.
+
+    start : (C,) where a camera's begins.  rect : (C, 4) u0, u1, v0, v1, inclusive.
+    """
+
+    sums: NDArray[np.int32]
+    start: NDArray[np.int64]
+    rect: NDArray[np.int64]
+
+
+class Silhouettes(NamedTuple):
+    """Masks of one frame.  masks : of all cameras end to end, uint8; one more pixel stands before each, which holds
+    what a camera votes that does not see a voxel.  mask_start : (C,) where a camera's begins."""
+
+    integrals: Integrals
+    masks: NDArray[np.uint8]
+    mask_start: NDArray[np.int64]
+
+
+class Rule(NamedTuple):
+    """When a voxel is occupied: at most n_faulty_views cameras vote background, min_views have it in their picture,
+    min_votes vote foreground.  is_strict : a camera that does not see a voxel counts as a miss, else it has no vote.
+    counts_votes : whether min_votes has to be looked at; else it follows from the other numbers."""
+
+    n_faulty_views: int
+    min_views: int
+    min_votes: int
+    is_strict: bool
+    counts_votes: bool
+
+
 @njit(cache=True, nogil=True)
 def foreground_in(box, integral, start, rect):
     """Foreground pixels in a pixel box u0, u1, v0, v1.
@@ -305,12 +371,14 @@ def foreground_in(box, integral, start, rect):
 
 
 @njit(cache=True, nogil=True)
-def judge(box, integral, start, rect, active, sees_all, sees_some, strict, tolerance, misses, min_votes):
+def judge(block, integrals, active, misses, min_votes, rule):
     """Vote of the active cameras on one block: (decision, cameras still undecided, sure misses).
 
-    box : (C, 4).  strict : a camera that does not see a voxel counts as a miss, else it has no vote.
+    block : (box (C, 4), sees_all, sees_some).  misses : cameras that are sure not to find anything in what holds it.
     min_votes : active cameras that must find some foreground; otherwise the block is dropped.
     """
+    box, sees_all, sees_some = block
+    integral, start, rect = integrals
     undecided = np.int64(0)
     n_undecided = 0
     n_votes = 0
@@ -319,76 +387,94 @@ def judge(box, integral, start, rect, active, sees_all, sees_some, strict, toler
             continue
         n = np.int64(0)
         sees = (sees_some >> c) & 1
-        if not sees and not strict:
+        if not sees and not rule.is_strict:
             continue
         if sees:
             n = foreground_in(box[c], integral, start[c], rect[c])
             n_votes += n > 0
-        if n == 0 and (strict or (sees_all >> c) & 1):
+        if n == 0 and (rule.is_strict or (sees_all >> c) & 1):
             misses += 1
-            if misses > tolerance:
+            if misses > rule.n_faulty_views:
                 return DROP, undecided, misses
             continue
         area = (np.int64(box[c, 1]) - box[c, 0] + 1) * (np.int64(box[c, 3]) - box[c, 2] + 1)
-        if n < area or (strict and not (sees_all >> c) & 1):
+        if n < area or (rule.is_strict and not (sees_all >> c) & 1):
             undecided |= np.int64(1) << c
             n_undecided += 1
     if n_votes < min_votes:
         return DROP, undecided, misses
-    if misses + n_undecided <= tolerance:
+    if misses + n_undecided <= rule.n_faulty_views:
         return KEEP, undecided, misses
     return DESCEND, undecided, misses
 
 
 @njit(cache=True, nogil=True)
-def survey(
-    box64, all64, some64, high64, counts64, box16, all16, some16, high16, counts16,
-    integral, start, rect, strict, tolerance, min_views, min_votes, out,
-):  # fmt: skip
-    """Blocks of 16 that cannot be dropped by their pixel boxes, into out; returns their number."""
+def place_of(block, counts):
+    """Subscripts of a block on its grid of blocks, three numbers."""
+    return block // (counts[2] * counts[1]), (block // counts[2]) % counts[1], block % counts[2]
+
+
+@njit(cache=True, nogil=True)
+def children_of(block, huge, large):
+    """The blocks of 16 in a block of 64, ascending."""
+    x64, y64, z64 = place_of(block, huge.counts)
+    counts = large.counts
+    children = np.empty(64, np.int64)
     n = 0
-    everyone = (np.int64(1) << box16.shape[1]) - 1
-    for b64 in range(box64.shape[0]):
-        if high64[b64] < min_views:
+    for x in range(4 * x64, min(4 * x64 + 4, counts[0])):
+        for y in range(4 * y64, min(4 * y64 + 4, counts[1])):
+            for z in range(4 * z64, min(4 * z64 + 4, counts[2])):
+                children[n] = (x * counts[1] + y) * counts[2] + z
+                n += 1
+    return children[:n]
+
+
+@njit(cache=True, nogil=True)
+def survey(huge, large, integrals, rule, out):
+    """Blocks of 16 that cannot be dropped by their pixel boxes, into out; returns their number.
+
+    huge, large : Blocks of 64 and 16.
+    """
+    n = 0
+    everyone = (np.int64(1) << large.box.shape[1]) - 1
+    for b64 in range(huge.box.shape[0]):
+        if huge.high[b64] < rule.min_views:
             continue
-        decision, _, _ = judge(
-            box64[b64], integral, start, rect, everyone, all64[b64], some64[b64],
-            strict, tolerance, 0, min_votes,
-        )  # fmt: skip
-        if decision == DROP:
+        block = (huge.box[b64], huge.sees_all[b64], huge.sees_some[b64])
+        if judge(block, integrals, everyone, 0, rule.min_votes, rule)[0] == DROP:
             continue
-        z64 = b64 % counts64[2]
-        y64 = (b64 // counts64[2]) % counts64[1]
-        x64 = b64 // (counts64[2] * counts64[1])
-        for x in range(4 * x64, min(4 * x64 + 4, counts16[0])):
-            for y in range(4 * y64, min(4 * y64 + 4, counts16[1])):
-                for z in range(4 * z64, min(4 * z64 + 4, counts16[2])):
-                    b = (x * counts16[1] + y) * counts16[2] + z
-                    if high16[b] < min_views:
-                        continue
-                    decision, _, _ = judge(
-                        box16[b], integral, start, rect, everyone, all16[b], some16[b],
-                        strict, tolerance, 0, min_votes,
-                    )  # fmt: skip
-                    if decision != DROP:
-                        out[n] = b
-                        n += 1
+        for b in children_of(b64, huge, large):
+            if large.high[b] < rule.min_views:
+                continue
+            block = (large.box[b], large.sees_all[b], large.sees_some[b])
+            if judge(block, integrals, everyone, 0, rule.min_votes, rule)[0] != DROP:
+                out[n] = b
+                n += 1
     return n
 
 
 @njit(cache=True, nogil=True)
-def carve_blocks(
-    blocks, slot, box16, all16, some16, high16, counts16, grid_shape,
-    box8, all8, some8, high8, box4, all4, some4, high4, table, n_seen, n_hidden,
-    masks, mask_start, integral, start, rect, strict, tolerance, min_views, min_votes, counts_votes, out,
-):  # fmt: skip
+def part_of_block(k, i):
+    """Subscripts among the 4 x 4 x 4 blocks of 4 of a block of 16, of the i-th block of 4 in its k-th block of 8."""
+    return 2 * (k >> 2) + (i >> 2), 2 * ((k >> 1) & 1) + ((i >> 1) & 1), 2 * (k & 1) + (i & 1)
+
+
+@njit(cache=True, nogil=True)
+def carve_blocks(blocks, large, tables, silhouettes, rule, grid_shape, out):
     """Occupied voxels of blocks of 16 by blocks of 8 and 4; linear indices into out, returns their number.
 
-    slot : where the tables of each block of 16 lie.  A block is dropped when more than `tolerance` cameras that
-    see all of it find no foreground in its pixel box, kept when at most `tolerance` cameras could still vote
-    background, else opened with the undecided cameras. With counts_votes all of these are asked, because a voxel
-    needs min_votes; without, min_votes must follow from min_views and tolerance.
+    A block is dropped when more than n_faulty_views cameras that see all of it find no foreground in its pixel box,
+    kept when at most so many cameras could still vote background, else opened with the undecided cameras. Where the
+    rule counts votes all of these are asked, because a voxel needs min_votes; else min_votes must follow from min_views
+    and n_faulty_views.
     """
+    # Unpacked once: taken from a tuple inside the loop each array would cost a reference count.
+    integrals, masks, mask_start = silhouettes.integrals, silhouettes.masks, silhouettes.mask_start
+    box16, all16, some16, high16, counts16 = large
+    box8, all8, some8, high8 = tables.eight
+    box4, all4, some4, high4 = tables.four
+    slot, table, n_seen, n_hidden = tables.slot, tables.pixels, tables.n_seen, tables.n_hidden
+    tolerance, min_views = rule.n_faulty_views, rule.min_views
     ny, nz = grid_shape[1], grid_shape[2]
     n_cameras = box16.shape[1]
     everyone = (np.int64(1) << n_cameras) - 1
@@ -397,50 +483,28 @@ def carve_blocks(
     for b16 in blocks:
         if high16[b16] < min_views:
             continue
-        d16, open16, m16 = judge(
-            box16[b16], integral, start, rect, everyone, all16[b16], some16[b16],
-            strict, tolerance, 0, min_votes,
-        )  # fmt: skip
+        block = (box16[b16], all16[b16], some16[b16])
+        d16, open16, m16 = judge(block, integrals, everyone, 0, rule.min_votes, rule)
         if d16 == DROP:
             continue
         t = slot[b16]
-        z16 = b16 % counts16[2]
-        y16 = (b16 // counts16[2]) % counts16[1]
-        x16 = b16 // (counts16[2] * counts16[1])
+        x16, y16, z16 = place_of(b16, counts16)
         for k in range(8):
             if high8[t, k] < min_views:
                 continue
-            d8, open8, m8 = judge(
-                box8[t, k], integral, start, rect, open16, all8[t, k], some8[t, k], strict, tolerance, m16, 0
-            )
+            d8, open8, m8 = judge((box8[t, k], all8[t, k], some8[t, k]), integrals, open16, m16, 0, rule)
             if d8 == DROP:
                 continue
             for i in range(8):
-                x4, y4, z4 = (
-                    2 * (k >> 2) + (i >> 2),
-                    2 * ((k >> 1) & 1) + ((i >> 1) & 1),
-                    2 * (k & 1) + (i & 1),
-                )
+                x4, y4, z4 = part_of_block(k, i)
                 b = (x4 * 4 + y4) * 4 + z4
                 if high4[t, b] < min_views:
                     continue
-                d4, open4, m4 = judge(
-                    box4[t, b],
-                    integral,
-                    start,
-                    rect,
-                    open8,
-                    all4[t, b],
-                    some4[t, b],
-                    strict,
-                    tolerance,
-                    m8,
-                    0,
-                )
+                d4, open4, m4 = judge((box4[t, b], all4[t, b], some4[t, b]), integrals, open8, m8, 0, rule)
                 if d4 == DROP:
                     continue
                 sums[:] = m4
-                if d4 == DESCEND or counts_votes:
+                if d4 == DESCEND or rule.counts_votes:
                     for c in range(n_cameras):
                         if (open4 >> c) & 1:
                             first = mask_start[c]
@@ -453,7 +517,7 @@ def carve_blocks(
                     if (
                         sums[j] <= tolerance
                         and n_seen[t, b, j] + n_hidden[t, b, j] >= min_views
-                        and n_seen[t, b, j] - sums[j] >= min_votes
+                        and n_seen[t, b, j] - sums[j] >= rule.min_votes
                     ):
                         out[n] = corner + ((j >> 4) * ny + ((j >> 2) & 3)) * nz + (j & 3)
                         n += 1
@@ -461,28 +525,26 @@ def carve_blocks(
 
 
 @njit(cache=True, nogil=True)
-def unknown_voxels(
-    blocks, slot, counts16, grid_shape, table, n_seen, n_hidden, masks, mask_start,
-    tolerance, min_views, min_votes, lower, upper, out,
-):  # fmt: skip
+def unknown_voxels(blocks, counts16, tables, silhouettes, rule, room, out):
     """Voxels of blocks of 16 that nobody speaks against and too few can judge; their number.
 
-    They lie in the picture of min_views cameras, at most `tolerance` vote background, fewer than min_votes foreground,
-    and at least one lies behind an occluder.  lower, upper : (3,) subscripts of the box that is asked for, upper
-    exclusive.  out : linear indices.
+    They lie in the picture of min_views cameras, at most n_faulty_views vote background, fewer than min_votes
+    foreground, and at least one lies behind an occluder.  room : (grid_shape, lower, upper), (3,) each, subscripts of
+    the box that is asked for, upper exclusive.  out : linear indices.
     """
+    grid_shape, lower, upper = room
+    slot, table, n_seen, n_hidden = tables.slot, tables.pixels, tables.n_seen, tables.n_hidden
+    masks, mask_start = silhouettes.masks, silhouettes.mask_start
     ny, nz = grid_shape[1], grid_shape[2]
     n_cameras = table.shape[2]
     n = 0
     for b16 in blocks:
         t = slot[b16]
-        z16 = b16 % counts16[2]
-        y16 = (b16 // counts16[2]) % counts16[1]
-        x16 = b16 // (counts16[2] * counts16[1])
+        x16, y16, z16 = place_of(b16, counts16)
         for b in range(64):
             for j in range(64):
                 seen, hidden = np.int64(n_seen[t, b, j]), np.int64(n_hidden[t, b, j])
-                if hidden == 0 or seen + hidden < min_views:
+                if hidden == 0 or seen + hidden < rule.min_views:
                     continue
                 x = x16 * 16 + (b >> 4) * 4 + (j >> 4)
                 y = y16 * 16 + ((b >> 2) & 3) * 4 + ((j >> 2) & 3)
@@ -496,15 +558,16 @@ def unknown_voxels(
                     pixel = np.int64(table[t, b, c, j])
                     if pixel >= 0:
                         votes += masks[np.uint64(mask_start[c] + pixel)]
-                if votes < min_votes and seen - votes <= tolerance:
+                if votes < rule.min_votes and seen - votes <= rule.n_faulty_views:
                     out[n] = (x * ny + y) * nz + z
                     n += 1
     return n
 
 
 @njit(cache=True, nogil=True)
-def count_votes(box, integral, start, rect, active, sees_some):
-    """(cameras still undecided, cameras that vote foreground wherever they see) of one block."""
+def count_votes(box, sees_some, integrals, active):
+    """(cameras still undecided, cameras that vote foreground wherever they see) of one block.  box : (C, 4)."""
+    integral, start, rect = integrals
     undecided, sure = np.int64(0), np.int64(0)
     for c in range(box.shape[0]):
         if (active & sees_some) >> c & 1 == 0:
@@ -531,65 +594,55 @@ def n_bits(bits):
 
 
 @njit(cache=True, nogil=True)
-def survey_votes(
-    box64, some64, counts64, box16, some16, counts16, integral, start, rect, min_votes, out
-):  # fmt: skip
-    """Blocks of 16 in which a voxel may have min_votes, into out; returns their number."""
+def survey_votes(huge, large, integrals, min_votes, out):
+    """Blocks of 16 in which a voxel may have min_votes, into out; returns their number.  huge, large : as of survey."""
     n = 0
-    everyone = (np.int64(1) << box16.shape[1]) - 1
-    for b64 in range(box64.shape[0]):
-        undecided, sure = count_votes(box64[b64], integral, start, rect, everyone, some64[b64])
+    everyone = (np.int64(1) << large.box.shape[1]) - 1
+    for b64 in range(huge.box.shape[0]):
+        undecided, sure = count_votes(huge.box[b64], huge.sees_some[b64], integrals, everyone)
         if n_bits(undecided | sure) < min_votes:
             continue
-        z64 = b64 % counts64[2]
-        y64 = (b64 // counts64[2]) % counts64[1]
-        x64 = b64 // (counts64[2] * counts64[1])
-        for x in range(4 * x64, min(4 * x64 + 4, counts16[0])):
-            for y in range(4 * y64, min(4 * y64 + 4, counts16[1])):
-                for z in range(4 * z64, min(4 * z64 + 4, counts16[2])):
-                    b = (x * counts16[1] + y) * counts16[2] + z
-                    undecided, sure = count_votes(box16[b], integral, start, rect, everyone, some16[b])
-                    if n_bits(undecided | sure) >= min_votes:
-                        out[n] = b
-                        n += 1
+        for b in children_of(b64, huge, large):
+            undecided, sure = count_votes(large.box[b], large.sees_some[b], integrals, everyone)
+            if n_bits(undecided | sure) >= min_votes:
+                out[n] = b
+                n += 1
     return n
 
 
 @njit(cache=True, nogil=True)
-def vote_blocks(
-    blocks, slot, box16, some16, counts16, grid_shape, box8, some8, box4, some4, table, n_seen,
-    masks, mask_start, integral, start, rect, min_votes, out, votes_out, seen_out,
-):  # fmt: skip
+def vote_blocks(blocks, large, tables, silhouettes, min_votes, grid_shape, out):
     """Voxels of blocks of 16 with at least min_votes foreground votes, their votes and views; their number.
 
-    The pixel before each mask must be background: -1, "not seen", reads it and adds no vote.
+    out : (voxels, votes, views).  The pixel before each mask must be background: -1, "not seen", reads it and adds no
+    vote.
     """
+    integrals, masks, mask_start = silhouettes.integrals, silhouettes.masks, silhouettes.mask_start
+    box16, some16 = large.box, large.sees_some
+    box8, some8 = tables.eight.box, tables.eight.sees_some
+    box4, some4 = tables.four.box, tables.four.sees_some
+    slot, table, n_seen = tables.slot, tables.pixels, tables.n_seen
+    voxels_out, votes_out, seen_out = out
     ny, nz = grid_shape[1], grid_shape[2]
     n_cameras = box16.shape[1]
     everyone = (np.int64(1) << n_cameras) - 1
     n = 0
     sums = np.zeros(64, dtype=np.uint8)
     for b16 in blocks:
-        open16, sure16 = count_votes(box16[b16], integral, start, rect, everyone, some16[b16])
+        open16, sure16 = count_votes(box16[b16], some16[b16], integrals, everyone)
         if n_bits(open16 | sure16) < min_votes:
             continue
         t = slot[b16]
-        z16 = b16 % counts16[2]
-        y16 = (b16 // counts16[2]) % counts16[1]
-        x16 = b16 // (counts16[2] * counts16[1])
+        x16, y16, z16 = place_of(b16, large.counts)
         for k in range(8):
-            open8, sure8 = count_votes(box8[t, k], integral, start, rect, open16, some8[t, k])
+            open8, sure8 = count_votes(box8[t, k], some8[t, k], integrals, open16)
             sure8 |= sure16 & some8[t, k]
             if n_bits(open8 | sure8) < min_votes:
                 continue
             for i in range(8):
-                x4, y4, z4 = (
-                    2 * (k >> 2) + (i >> 2),
-                    2 * ((k >> 1) & 1) + ((i >> 1) & 1),
-                    2 * (k & 1) + (i & 1),
-                )
+                x4, y4, z4 = part_of_block(k, i)
                 b = (x4 * 4 + y4) * 4 + z4
-                open4, sure4 = count_votes(box4[t, b], integral, start, rect, open8, some4[t, b])
+                open4, sure4 = count_votes(box4[t, b], some4[t, b], integrals, open8)
                 sure4 |= sure8 & some4[t, b]
                 if n_bits(open4 | sure4) < min_votes:
                     continue
@@ -603,7 +656,7 @@ def vote_blocks(
                 corner = ((x16 * 16 + x4 * 4) * ny + y16 * 16 + y4 * 4) * nz + z16 * 16 + z4 * 4
                 for j in range(64):
                     if sums[j] >= min_votes:
-                        out[n] = corner + ((j >> 4) * ny + ((j >> 2) & 3)) * nz + (j & 3)
+                        voxels_out[n] = corner + ((j >> 4) * ny + ((j >> 2) & 3)) * nz + (j & 3)
                         votes_out[n] = sums[j]
                         seen_out[n] = n_seen[t, b, j]
                         n += 1

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from mocap.data import Camera, CameraRig, Occluders, VoxelGrid
 from mocap.geometry.projection import max_normalised_radius
 from mocap.volume import _carve_kernels, _occluder_kernels
+from mocap.volume._carve_kernels import Blocks, InnerBlocks, Integrals, Rule, Silhouettes, Tables
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -117,20 +118,6 @@ def _kind(value: object) -> str:
     return f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
 
 
-@dataclass(frozen=True)
-class _Rules:
-    """When a voxel is occupied, with the defaults filled in.
-
-    counts_votes : whether min_votes has to be looked at; else it follows from the other numbers.
-    """
-
-    n_faulty_views: int
-    min_views: int
-    min_votes: int
-    is_strict: bool
-    counts_votes: bool
-
-
 def _rules(
     n_cameras: int,
     n_faulty_views: int,
@@ -138,7 +125,7 @@ def _rules(
     min_votes: int | None,
     outside: str,
     occluders: Occluders | None,
-) -> _Rules:
+) -> Rule:
     """The rules of one carving, checked."""
     needed = _check_votes(n_cameras, n_faulty_views, min_views, outside)
     is_strict = outside == "background"
@@ -150,7 +137,8 @@ def _rules(
         votes = min_votes
     elif occluders is not None:
         votes = min(MIN_VOTES, votes)
-    return _Rules(n_faulty_views, needed, votes, is_strict, min_votes is not None or occluders is not None)
+    counts_votes = min_votes is not None or occluders is not None
+    return Rule(n_faulty_views, needed, votes, is_strict, counts_votes)
 
 
 def _check_votes(n_cameras: int, n_faulty_views: int, min_views: int | None, outside: str) -> int:
@@ -301,6 +289,11 @@ class _Level:
     ) -> None:
         self.counts = counts
         self.box, self.sees_all, self.sees_some, self.high = box, sees_all, sees_some, high
+
+    @property
+    def blocks(self) -> Blocks:
+        """The blocks as kernels take them."""
+        return Blocks(self.box, self.sees_all, self.sees_some, self.high, np.array(self.counts))
 
     def doubled(self) -> _Level:
         """Blocks of twice the side."""
@@ -507,6 +500,25 @@ class Carver:
             sums = self._integral[begin : begin + (w + 1) * (h + 1)].reshape(h + 1, w + 1)
             cv2.integral(part, sums, cv2.CV_32S)
 
+    @property
+    def _silhouettes(self) -> Silhouettes:
+        """The masks of the frame that was loaded, as kernels take them."""
+        integrals = Integrals(self._integral, self._integral_start, self._rect)
+        return Silhouettes(integrals, self._masks, self._mask_start)
+
+    @property
+    def _tables(self) -> Tables:
+        """The exact tables as kernels take them."""
+        pool = self._pool
+        return Tables(
+            self._slot,
+            InnerBlocks(pool.box8, pool.all8, pool.some8, pool.high8),
+            InnerBlocks(pool.box4, pool.all4, pool.some4, pool.high4),
+            pool.table,
+            pool.n_seen,
+            pool.n_hidden,
+        )
+
     def carve(
         self,
         masks: Sequence[Mask],
@@ -520,26 +532,17 @@ class Carver:
 
         Source: CF 2.2.4; coarse to fine after the octree idea quoted there, on integral images.
         """
-        rules = _rules(len(self.rig), n_faulty_views, min_views, min_votes, outside, self.occluders)
-        self._load(masks, 0 if rules.is_strict else 1)
-        large, huge, pool = self._large, self._huge, self._pool
-        images = (self._integral, self._integral_start, self._rect)
+        rule = _rules(len(self.rig), n_faulty_views, min_views, min_votes, outside, self.occluders)
+        self._load(masks, 0 if rule.is_strict else 1)
+        large, silhouettes = self._large.blocks, self._silhouettes
         blocks = np.empty(len(large.high), dtype=np.int32)
-        n = _carve_kernels.survey(
-            huge.box, huge.sees_all, huge.sees_some, huge.high, np.array(huge.counts),
-            large.box, large.sees_all, large.sees_some, large.high, np.array(large.counts),
-            *images, rules.is_strict, n_faulty_views, rules.min_views, rules.min_votes, blocks,
-        )  # fmt: skip
+        n = _carve_kernels.survey(self._huge.blocks, large, silhouettes.integrals, rule, blocks)
         found = []
         for group in self._batches(blocks[:n]):
             out = np.empty(4096 * len(group), dtype=np.int32)
             n = _carve_kernels.carve_blocks(
-                group, self._slot, large.box, large.sees_all, large.sees_some, large.high,
-                np.array(large.counts), np.array(self.grid.shape),
-                pool.box8, pool.all8, pool.some8, pool.high8, pool.box4, pool.all4, pool.some4, pool.high4,
-                pool.table, pool.n_seen, pool.n_hidden, self._masks, self._mask_start, *images,
-                rules.is_strict, n_faulty_views, rules.min_views, rules.min_votes, rules.counts_votes, out,
-            )  # fmt: skip
+                group, large, self._tables, silhouettes, rule, np.array(self.grid.shape), out
+            )
             found.append(out[:n].copy())
         return np.sort(np.concatenate(found)) if found else np.zeros(0, dtype=np.int32)
 
@@ -557,7 +560,7 @@ class Carver:
         lower_sub, upper_sub : (3,) voxel subscripts, upper exclusive; the box may exceed the grid. Without occluders
         there are none.
         """
-        rules = _rules(len(self.rig), n_faulty_views, min_views, None, "abstain", self.occluders)
+        rule = _rules(len(self.rig), n_faulty_views, min_views, None, "abstain", self.occluders)
         lower = np.maximum(lower_sub, 0)
         upper = np.minimum(upper_sub, self.grid.shape)
         if self.occluders is None or np.any(lower >= upper):
@@ -566,14 +569,12 @@ class Carver:
         counts = self._large.counts
         axes = [np.arange(lo // 16, -(-hi // 16)) for lo, hi in zip(lower, upper, strict=True)]
         blocks = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), counts).ravel().astype(np.int32)
-        pool, found = self._pool, []
+        room, found = (np.array(self.grid.shape), lower, upper), []
         for group in self._batches(blocks):
             out = np.empty(4096 * len(group), dtype=np.int32)
             n = _carve_kernels.unknown_voxels(
-                group, self._slot, np.array(counts), np.array(self.grid.shape),
-                pool.table, pool.n_seen, pool.n_hidden, self._masks, self._mask_start,
-                n_faulty_views, rules.min_views, rules.min_votes, lower, upper, out,
-            )  # fmt: skip
+                group, np.array(counts), self._tables, self._silhouettes, rule, room, out
+            )
             found.append(out[:n].copy())
         return np.sort(np.concatenate(found))
 
@@ -585,24 +586,23 @@ class Carver:
         """
         _check_min_votes(len(self.rig), min_votes)
         self._load(masks, 0)
-        large, huge, pool = self._large, self._huge, self._pool
-        images = (self._integral, self._integral_start, self._rect)
-        counts = np.array(large.counts)
+        large, silhouettes = self._large.blocks, self._silhouettes
         blocks = np.empty(len(large.high), dtype=np.int32)
-        n = _carve_kernels.survey_votes(
-            huge.box, huge.sees_some, np.array(huge.counts), large.box, large.sees_some, counts,
-            *images, min_votes, blocks,
-        )  # fmt: skip
+        n = _carve_kernels.survey_votes(self._huge.blocks, large, silhouettes.integrals, min_votes, blocks)
         parts = []
         for group in self._batches(blocks[:n]):
             out = np.empty(4096 * len(group), dtype=np.int32)
             n_votes = np.empty(len(out), dtype=np.uint8)
             n_seen = np.empty(len(out), dtype=np.uint8)
             n = _carve_kernels.vote_blocks(
-                group, self._slot, large.box, large.sees_some, counts, np.array(self.grid.shape),
-                pool.box8, pool.some8, pool.box4, pool.some4, pool.table, pool.n_seen,
-                self._masks, self._mask_start, *images, min_votes, out, n_votes, n_seen,
-            )  # fmt: skip
+                group,
+                large,
+                self._tables,
+                silhouettes,
+                min_votes,
+                np.array(self.grid.shape),
+                (out, n_votes, n_seen),
+            )
             parts.append((out[:n].copy(), n_votes[:n].copy(), n_seen[:n].copy()))
         none = (np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.uint8), np.zeros(0, dtype=np.uint8))
         voxels, n_votes, n_seen = (np.concatenate(column) for column in zip(none, *parts, strict=True))
