@@ -53,10 +53,16 @@ def refine(problem: ResidualProblem, state: Array, settings: RefineSettings) -> 
     start = np.clip(np.asarray(state, dtype=np.float64), layout.lower, layout.upper)
     prior = (settings.residual_std_m / settings.prior_std) ** 2
 
+    diagonal = np.arange(len(start))
+    circular = np.flatnonzero(layout.is_circular)
+
     def evaluate(x: Array) -> tuple[float, Array, Array]:
         cost, H, g = problem.normal_equations(x)
-        d = np.where(layout.is_circular, wrap_angle(x - start), x - start)
-        return cost + 0.5 * float(np.sum(prior * d * d)), H + np.diag(prior), g + prior * d
+        d = x - start
+        d[circular] = wrap_angle(d[circular])
+        H = H.copy()
+        H[diagonal, diagonal] += prior
+        return cost + 0.5 * float(np.sum(prior * d * d)), H, g + prior * d
 
     x = start.copy()
     cost, H, g = evaluate(x)
@@ -66,9 +72,10 @@ def refine(problem: ResidualProblem, state: Array, settings: RefineSettings) -> 
     for _ in range(settings.n_iterations):
         n += 1
         free = ~(((x <= layout.lower) & (g > 0)) | ((x >= layout.upper) & (g < 0)))
-        A = H[np.ix_(free, free)]
+        A = H.copy()
+        A[diagonal, diagonal] += damping * A[diagonal, diagonal]
         step = np.zeros_like(x)
-        step[free] = -np.linalg.solve(A + damping * np.diag(np.diag(A)), g[free])
+        step[free] = -np.linalg.solve(A[free][:, free], g[free])
         candidate = np.clip(x + step, layout.lower, layout.upper)
         new_cost, new_H, new_g = evaluate(candidate)
         if new_cost < cost:

@@ -251,14 +251,14 @@ def agreeing_detections(points, seen, gate, P, is_pair, detections, belief, chos
 
 
 @njit(cache=True, nogil=True)
-def _pull_of_views(m, seen, detections_of, P, noise, slip, A, b):
+def _pull_of_views(m, seen, detections_of, P, noise, slip, scratch):
     """Robust cost of one marker's detections at a slip (3,) m of it; fills their matrix A (3, 3) and gradient b (3,).
 
-    detections_of : (uv, chosen).
+    detections_of : (uv, chosen).  scratch : (A, b, J (2, 3)).
     """
     uv, chosen = detections_of
     projected, depth, in_view = seen
-    J = np.empty((2, 3))
+    A, b, J = scratch
     inverse_2 = 1.0 / (noise.noise_px * noise.noise_px)
     scale_2 = noise.scale * noise.scale
     A[:] = 0.0
@@ -298,6 +298,7 @@ def marker_pulls(P, seen, uv, chosen, slack_m, noise, information, gradient):
     A = np.empty((3, 3))
     S = np.empty((3, 3))
     b = np.empty(3)
+    J = np.empty((2, 3))
     x = np.empty(3)
     slip = np.empty(3)
     cost = 0.0
@@ -316,7 +317,7 @@ def marker_pulls(P, seen, uv, chosen, slack_m, noise, information, gradient):
         slip[:] = 0.0
         own = 0.0
         for _ in range(_SLIP_ROUNDS if s_2 > 0.0 else 1):
-            own = _pull_of_views(m, seen, (uv, chosen), P, noise, slip, A, b)
+            own = _pull_of_views(m, seen, (uv, chosen), P, noise, slip, (A, b, J))
             # S = I + s^2 A; with the slip integrated out, S^-1 A is the point's information and S^-1 b its gradient.
             if s_2 > 0.0:
                 for r in range(3):
