@@ -75,16 +75,23 @@ def spread_sample(points: Array, n: int) -> Index:
     if n >= len(points):
         return np.arange(len(points))
 
-    def path(rows: Index) -> Index:
-        if len(rows) <= 2:
-            return rows
-        axis = int(np.ptp(points[rows], axis=0).argmax())
-        rows = rows[np.argsort(points[rows, axis], kind="stable")]
+    def on_path(rows: Index, picks: Index) -> Index:
+        """The rows at some places of the path through all of these."""
+        if len(picks) in (0, len(rows)):
+            return rows[: len(picks)]
+        if len(rows) == 2:
+            return rows[picks]
+        own = points[rows]
+        axis = int((own.max(axis=0) - own.min(axis=0)).argmax())
+        rows = rows[own[:, axis].argsort(kind="stable")]
         half = len(rows) // 2
-        return np.concatenate([path(rows[:half]), path(rows[half:])])
+        before = int(picks.searchsorted(half))
+        return np.concatenate(
+            [on_path(rows[:half], picks[:before]), on_path(rows[half:], picks[before:] - half)]
+        )
 
     picks = ((np.arange(n) + 0.5) * len(points) / n).astype(np.int64) if n else np.zeros(0, dtype=np.int64)
-    return np.sort(path(np.arange(len(points)))[picks])
+    return np.sort(on_path(np.arange(len(points)), picks))
 
 
 def segment_map(points: Array, spacing_m: float) -> tuple[NDArray[np.uint8], Array, float]:
