@@ -82,6 +82,7 @@ _POSES: dict[str, dict[str, float]] = {
         "waist_y": 0.3,
     },
 }
+N_KINDS = len(_POSES)  # of starting poses, each in all directions
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import json
 import shlex
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -34,6 +35,7 @@ from mocap.cli.options import (
 )
 from mocap.cli.progress import FinishedStages, progress_bar
 from mocap.cli.scores import echo_scores
+from mocap.profiling import profiled
 
 if TYPE_CHECKING:
     from mocap.pipeline.record import RunResult
@@ -43,7 +45,8 @@ if TYPE_CHECKING:
 class Order:
     """What is to be run, as it was typed.
 
-    until : the last stage.  go_on : the command that finishes it after Ctrl-C.
+    until : the last stage.  go_on : the command that finishes it after Ctrl-C.  profile : whether to say where the time
+    goes.
     """
 
     session: Path
@@ -61,6 +64,7 @@ class Order:
     filter_name: str | None = None
     observation: str | None = None
     expected_persons: int | None = None
+    profile: bool = False
 
 
 def _list_filters(value: bool) -> None:
@@ -120,6 +124,7 @@ def run(
     rehash: RehashOption = False,
     calibration: CalibrationOption = None,
     threads: ThreadsOption = None,
+    profile: Annotated[bool, typer.Option("--profile", help="Print where the time goes, by part.")] = False,
     _list: Annotated[
         bool,
         typer.Option(
@@ -148,6 +153,7 @@ def run(
             filter_name=filter_name,
             observation=observation,
             expected_persons=expected_persons,
+            profile=profile,
         )
     )
 
@@ -236,7 +242,8 @@ def _run(order: Order) -> RunResult:
         expected_persons=order.expected_persons,
     )
     done = FinishedStages()
-    with how_to_go_on(lambda: _kept(order, done)), progress_bar() as show:
+    listening = profiled() if order.profile else nullcontext()
+    with listening as profile, how_to_go_on(lambda: _kept(order, done)), progress_bar() as show:
         result = run_session(
             order.session,
             order.out,
@@ -252,6 +259,8 @@ def _run(order: Order) -> RunResult:
             command=command_line(),
         )
     _echo_result(result)
+    if profile is not None:
+        typer.echo("\n".join(profile.lines(len(result.session.frames))))
     return result
 
 

@@ -46,6 +46,7 @@ from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
 from mocap.products.poses import stored_poses
 from mocap.products.tracks import stored_tracks
+from mocap.profiling import part
 from mocap.progress import Progress, no_progress
 
 
@@ -152,7 +153,7 @@ def _publish(
     scores, unscored = _scores(found) if until in _WITH_POSES else (None, [])
     is_whole = until == OUTPUTS
     started = time.perf_counter()
-    with published(out) as folder:
+    with part(OUTPUTS), published(out) as folder:
         write_tables(found, folder, has_poses=until in _WITH_POSES)
         left_out = write_exports(found, job.config, folder, progress=job.progress) if is_whole else []
         record = _record(job, found, steps, until=until, command=command, scores=scores)

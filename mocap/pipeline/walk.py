@@ -15,6 +15,7 @@ from typing import Any
 
 from mocap.io.store import StageWriter
 from mocap.pipeline.stage import ClipWork, Ending, FrameWork, Job, Row, Seen, Sources, Stage
+from mocap.profiling import part
 from mocap.threads import Ahead
 
 # Frames that a stage may be ahead of the next one; pictures and volumes of no more are held.
@@ -51,7 +52,8 @@ def run_together(stages: Sequence[tuple[Stage, Job]]) -> dict[str, float]:
     (first, job), *_ = shown
     if isinstance(first.work, ClipWork):
         started = time.perf_counter()
-        first.work.run(job)
+        with part(first.name):
+            first.work.run(job)
         return {first.name: time.perf_counter() - started}
     with ThreadPoolExecutor(max(1, job.n_threads)) as pool:
         walkers = [Walker(stage, replace(own, each=pool.map)) for stage, own in shown]
@@ -79,7 +81,8 @@ class Walker:
     def step(self, seen: Seen) -> tuple[Seen, Sequence[Row]]:
         """One frame: with what was found in it, and the rows that are certain by now."""
         started = time.perf_counter()
-        self.state, seen, rows = self.work.step(self.state, seen)
+        with part(self.stage.name):
+            self.state, seen, rows = self.work.step(self.state, seen)
         self.busy_s += time.perf_counter() - started
         return seen, rows
 
@@ -184,6 +187,7 @@ def _frames(walkers: Sequence[Walker], streams: ExitStack) -> Iterator[Seen]:
 def _read(first: Walker, values: Mapping[str, Iterator[tuple[int, Any]]]) -> Iterator[Seen]:
     for i, frame in enumerate(first.job.session.frames):
         started = time.perf_counter()
-        seen = Seen(i, frame, **{name: next(rows)[1] for name, rows in values.items()})
+        with part("read"):
+            seen = Seen(i, frame, **{name: next(rows)[1] for name, rows in values.items()})
         first.busy_s += time.perf_counter() - started
         yield seen

@@ -23,6 +23,7 @@ from mocap.pose.evidence import FrameEvidence, PersonClip, WholeBodyEvidence
 from mocap.pose.limb_search import LimbSchedule, search_limbs
 from mocap.pose.restart import FallenEvidence, restarted_pose
 from mocap.pose.start import PoseSearch, settle_first_poses, try_first_poses, walking_velocity
+from mocap.profiling import part
 from mocap.rng import rng_for
 from mocap.threads import worker_threads
 
@@ -104,12 +105,18 @@ def follow_frame(
     carried = None if evidence is None else policy.carry(row, evidence)
     if carried is None:
         return policy.lose_sight(row)
-    candidates = policy.propose(carried, rng)
-    candidates = policy.refine(candidates)
-    candidates = policy.judge(candidates)
-    candidates = policy.search_limbs(candidates, rng)
-    candidates = policy.restart(candidates, rng)
-    return policy.remember(candidates)
+    with part("propose"):
+        candidates = policy.propose(carried, rng)
+    with part("refine"):
+        candidates = policy.refine(candidates)
+    with part("judge"):
+        candidates = policy.judge(candidates)
+    with part("search limbs"):
+        candidates = policy.search_limbs(candidates, rng)
+    with part("restart"):
+        candidates = policy.restart(candidates, rng)
+    with part("remember"):
+        return policy.remember(candidates)
 
 
 def _evidence_ahead(clip: PersonClip, order: Sequence[int]) -> Iterator[tuple[int, FrameEvidence | None]]:

@@ -20,11 +20,13 @@ from mocap.pose.smooth import smooth_motion
 from mocap.pose.start import (
     FirstPose,
     PoseSearch,
+    affordable_first_poses,
     settle_first_poses,
     try_first_poses,
     walking_velocity,
 )
 from mocap.pose.volume import VolumeEvidence, VolumeObservation, VolumeTools
+from mocap.profiling import part
 from mocap.rng import rng_for
 
 Array = NDArray[np.float64]
@@ -63,12 +65,13 @@ def start_person(
     if not usable:
         raise ValueError(f"person {clip.person} has no frame with a usable hull")
     numbers = tools.settings.method.start
-    searching = tools
-    if len(usable) < numbers.short_frames:
-        # No motion will tell front from back: look harder.
-        harder = replace(tools.settings, n_first_poses=numbers.short_factor * tools.settings.n_first_poses)
-        searching = replace(tools, settings=harder)
-    search, tried = _most_promising(clip.with_tools(searching), usable, seed=seed)
+    # Where no motion will tell front from back: look harder.
+    factor = numbers.short_factor if len(usable) < numbers.short_frames else 1
+    n_frames = min(tools.settings.n_start_frames, len(usable))
+    n_first = affordable_first_poses(numbers, factor * tools.settings.n_first_poses, n_frames)
+    searching = replace(tools, settings=replace(tools.settings, n_first_poses=n_first))
+    with part("first poses"):
+        search, tried = _most_promising(clip.with_tools(searching), usable, seed=seed)
     is_crowded = search.evidence.unexplained_share(tried[0].state) > numbers.crowded_share
     gentle = numbers.crowded_outline_weight
     if is_crowded and tools.settings.outline_weight > gentle:
@@ -77,11 +80,14 @@ def start_person(
         searching = replace(searching, settings=replace(searching.settings, outline_weight=gentle))
         search = _search_at(clip.with_tools(searching), int(np.searchsorted(frames, search.frame)))
     rng = rng_for(seed, "settle", clip.person, search.frame)
-    hypotheses = settle_first_poses(search, tried, rng=rng)
+    with part("settle"):
+        hypotheses = settle_first_poses(search, tried, rng=rng)
     clip = clip.with_tools(tools)
-    best, trial = choose_hypothesis(clip, hypotheses, seed=seed)
+    with part("trial"):
+        best, trial = choose_hypothesis(clip, hypotheses, seed=seed)
     if is_size_fitted and not is_crowded:  # a larger body would explain the chair as well
-        tools, height, best = _sized(clip, height, best, seed=seed)
+        with part("size"):
+            tools, height, best = _sized(clip, height, best, seed=seed)
     return Start(tools, height, best, trial, len(usable))
 
 
@@ -160,7 +166,8 @@ def follow_person(
     pose, and the height changes with it.
     Raises ValueError when no frame has a usable hull.
     """
-    start = start_person(clip, height, seed=seed, is_size_fitted=is_size_fitted)
+    with part("start"):
+        start = start_person(clip, height, seed=seed, is_size_fitted=is_size_fitted)
     tools, settings = start.tools, start.tools.settings
     observation = clip.observation.with_tools(tools)
     if settings.refine:
@@ -168,13 +175,15 @@ def follow_person(
     clip = replace(clip, observation=observation)
     poses = _followed(clip, start.first, seed=seed, progress=progress)
     if settings.repair and settings.refine:
-        _repair(clip, poses)
+        with part("repair"):
+            _repair(clip, poses)
     series = series_of(poses)
     states = series.states
     if settings.smooth_lag_frames:
         lag, method = settings.smooth_lag_frames, settings.method
         pieces = [series.rows(piece) for piece in unbroken(clip.frames)]
-        states = np.concatenate([smooth_motion(tools.body, p, tools.fps, lag, method) for p in pieces])
+        with part("smooth"):
+            states = np.concatenate([smooth_motion(tools.body, p, tools.fps, lag, method) for p in pieces])
     observed = np.array([pose.observed for pose in poses])
     log_likelihood = np.array([pose.log_likelihood for pose in poses])
     numbers = settings.method.start

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, candidate_states
+from mocap.body.initial import N_KINDS
 from mocap.filters import ParticleState, initial_particles
 from mocap.filters.apf import ApfSettings, apf_step
 from mocap.pose.evidence import PersonClip, WholeBodyEvidence
@@ -120,6 +121,15 @@ class PoseSearch:
         values = self.score(np.stack(found)) - evidence.misfit(found)
         top = int(values.argmax())
         return FirstPose(self.frame, found[top], label, float(values[top]))
+
+
+def affordable_first_poses(settings: StartSettings, n_first_poses: int, n_frames: int) -> int:
+    """How many first poses can be followed to the end so that a search in n_frames stays within its evaluations: at
+    most n_first_poses, at least one."""
+    thorough = settings.thorough_layers * settings.thorough_particles
+    brief = settings.brief_factor * settings.brief_layers * settings.brief_particles
+    once = n_frames * N_KINDS * settings.n_directions * settings.n_copies + settings.n_opposite * thorough
+    return max(1, min(n_first_poses, (settings.max_evaluations - once) // (n_frames * brief + thorough)))
 
 
 def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[FirstPose]:

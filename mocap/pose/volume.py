@@ -47,6 +47,7 @@ from mocap.pose.evidence import FrameEvidence, FrameFit, PersonTools
 from mocap.pose.method import EvidenceSettings, StartSettings
 from mocap.pose.posture import Posture, usual_posture
 from mocap.pose.settings import PoseSettings
+from mocap.profiling import part
 from mocap.threads import in_parallel
 from mocap.volume import surface_map
 from mocap.volume.surface import OCCUPIED_BIT, SURFACE_LEVELS
@@ -129,12 +130,15 @@ class VolumeTools(PersonTools):
         """What of a frame depends on nothing but its hull."""
         settings = self.settings
         margin_m = settings.method.evidence.crop_margin_m
-        volume = pack_volume(self.grid, hull, settings.surface_sigma_voxels, margin_m)
-        surface = hull_surface(hull.voxels, hull.is_surface, self.grid, volume)
+        with part("volume and surface"):
+            volume = pack_volume(self.grid, hull, settings.surface_sigma_voxels, margin_m)
+            surface = hull_surface(hull.voxels, hull.is_surface, self.grid, volume)
         with_outlines = hull.outlines is not None and settings.outline_weight > 0
-        outlines = hull.outlines() if hull.outlines is not None and with_outlines else None
+        with part("outlines"):
+            outlines = hull.outlines() if hull.outlines is not None and with_outlines else None
         with_colours = hull.rays is not None and settings.colour_weight > 0
-        rays = hull.rays() if hull.rays is not None and with_colours else None
+        with part("colours"):
+            rays = hull.rays() if hull.rays is not None and with_colours else None
         return PreparedHull(hull, volume, surface, outlines, rays)
 
     def frame(self, hull: PersonHull | PreparedHull, appearance: Appearance | None = None) -> VolumeEvidence:
@@ -400,10 +404,12 @@ class VolumeObservation:
 
     def prepare(self, frame: int) -> PreparedHull | None:
         """The hull of a frame, None where there is none or too little of one."""
-        hull = self.hull_of(frame)
+        with part("hull"):
+            hull = self.hull_of(frame)
         if hull is None or len(hull.voxels) < self.tools.settings.method.evidence.min_voxels:
             return None
-        return self.tools.prepared(hull)
+        with part("prepare"):
+            return self.tools.prepared(hull)
 
     def is_usable(self, frame: int) -> bool:
         """Whether a frame has a hull that can hold a person."""
