@@ -115,10 +115,11 @@ class StartSettings(_Strict):
     """A clip with fewer usable frames is too short to compare hypotheses over time."""
     short_factor: int = 3
     """Factor on `pose.n_first_poses` there: no motion will tell front from back."""
-    max_evaluations: int = 60_000
+    max_evaluations: int = 120_000
     """Most poses that are scored in one person's search, brief and thorough attempts of all frames together:
-    `pose.n_first_poses` is lowered to what they allow. The default takes 53,000 in its three frames, a
-    short clip of two frames would take 108,000."""
+    `pose.n_first_poses` is lowered to what they allow. The default takes 53,000 in its three frames, a clip of two
+    108,000. With 60,000 such a clip takes 2.1 s instead of 3.0, but one of 18 pairs of frames of development sessions
+    was started worse (51 mm instead of 34)."""
     crowded_share: float = 0.4
     """Share of a hull's surface that the body leaves unexplained, from which it holds much else than the person."""
     crowded_outline_weight: float = 1.0

@@ -9,7 +9,7 @@ from flesh_voxels import Flesh
 from mocap.body import Body, cones_of, joint_transforms, neutral_state
 from mocap.body._kernels import chain_axes
 from mocap.likelihood.residuals import HullSurface, SurfaceFitSettings, SurfaceProblem, hull_surface
-from mocap.likelihood.residuals._surface_kernels import from_axis
+from mocap.likelihood.residuals._pull_kernels import from_axis
 from mocap.likelihood.voxels import PackedVolume
 from mocap.pose.volume import PersonHull, pack_volume
 from mocap.volume import surface_voxels

@@ -33,7 +33,8 @@ def test_as_many_poses_are_followed_as_the_evaluations_allow(
 
 def test_the_usual_search_is_not_cut() -> None:
     assert affordable_first_poses(StartSettings(), 8, 3) == 8
-    assert affordable_first_poses(StartSettings(), 24, 2) < 24
+    assert affordable_first_poses(StartSettings(), 24, 2) == 24
+    assert affordable_first_poses(StartSettings(), 24, 3) < 24
 
 
 def test_one_pose_is_followed_whatever_it_costs() -> None:
