@@ -92,7 +92,8 @@ class Walker:
         for seen in frames:
             found, rows = self.step(seen)
             recorder.take(rows)
-            self.job.progress(self.stage.name, seen.index + 1, n)
+            if seen.index + 1 < n:  # the last one is done when the products are
+                self.job.progress(self.stage.name, seen.index + 1, n)
             yield found
 
 
@@ -135,6 +136,15 @@ class Recorder:
 
 
 def _walk(walkers: Sequence[Walker]) -> Sequence[Walker]:
+    """One walk over all frames, and word of those that are done; gives the others, which have to walk again."""
+    again = _once(walkers)
+    for walker in walkers[: len(walkers) - len(again)]:
+        n = len(walker.job.session.frames)
+        walker.job.progress(walker.stage.name, n, n)
+    return again
+
+
+def _once(walkers: Sequence[Walker]) -> Sequence[Walker]:
     """One walk over all frames; gives those that have to walk again, each with its new state."""
     with ExitStack() as stack:
         thread = stack.enter_context(ThreadPoolExecutor(1)) if walkers[0].job.n_threads > 1 else None

@@ -122,6 +122,19 @@ def test_a_stage_that_fails_leaves_earlier_products(tmp_path: Path, n_threads: i
     assert not [t for t in threading.enumerate() if t.name == "mocap-ahead"]
 
 
+@pytest.mark.parametrize("n_threads", [1, 3])
+def test_a_stage_is_said_to_be_done_when_its_product_is_there(tmp_path: Path, n_threads: int) -> None:
+    """Who is stopped reads which stages were finished and kept."""
+    said: list[tuple[str, int, bool]] = []
+    own = job(tmp_path, n_threads=n_threads)
+    own = replace(own, progress=lambda n, done, _: said.append((n, done, own.store.is_complete(n, "key"))))
+    run_together([(toy("a", reads=clip), own), (toy("b", walks=2), own)])
+    for name in "ab":
+        ends = [is_there for n, done, is_there in said if n == name and done == len(FRAMES)]
+        assert ends == [True]
+    assert not any(is_there for n, done, is_there in said if n == "b" and done < len(FRAMES))
+
+
 def test_no_more_than_a_few_frames_are_held(tmp_path: Path) -> None:
     """However slow the last stage is, the first one waits for it."""
     reached = {"a": 0, "b": 0}
