@@ -137,7 +137,8 @@ def place_segment(
 ):
     """Map of segment s on joint j into the crop's voxel units: fills A (3, 3), b (3,) float32 and world_center[s].
 
-    Returns whether its bounding sphere lies wholly inside the crop, and whether it touches the room's border.
+    Returns whether its bounding sphere lies wholly inside the crop, and whether it touches the room's border. The
+    arguments come one by one: handed on as tuples they cost the fast likelihood 10 % of its time.
     """
     is_inside = True
     touches_border = False
