@@ -237,8 +237,9 @@ def evaluate(session: Path, fault: Fault, work: Path, healthy_mm: float | None) 
     out = work / f"{session.name}_out"
     handled = scores_of(faulty, out, "exclude")
     found = stored_faults(StageStore(out / "store.zarr"))
-    # Where nothing is found nothing is handled.
-    ignored = scores_of(faulty, out, "ignore") if found else handled
+    # What a wrong calibration costs is told here, other faults by `python -m eval.camera_faults`.
+    is_calibration = any(fault.kind in ("calibration", "rig") for fault in found)
+    ignored = scores_of(faulty, out, "ignore") if is_calibration else dict.fromkeys(handled)
     names = {open_session(faulty).rig.names[c] for c in fault.cameras}
     named = {f.camera for f in found if f.camera}
     return {

@@ -75,7 +75,8 @@ def rig_offset_m(store: StageStore) -> float:
     # A camera whose calibration is wrong is left out of all frames, or of none.
     used = reader.read(int(reader.frames[0]))["used"]
     in_use = {"", *(name for name, is_used in zip(reader.attrs["cameras"], used, strict=True) if is_used)}
-    return max((fault.offset_m for fault in stored_faults(store) if fault.camera in in_use), default=0.0)
+    harmful = (f for f in stored_faults(store) if f.camera in in_use and not f.is_harmless)
+    return max((fault.offset_m for fault in harmful), default=0.0)
 
 
 def hull_from_arrays(grid: VoxelGrid, arrays: dict[str, NDArray[np.generic]]) -> Hull:

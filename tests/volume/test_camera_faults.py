@@ -268,7 +268,10 @@ def test_usable_cameras_by_frame() -> None:
         CameraFault("", "scene", 11, 15, False, True),
         CameraFault("c", "black", 10, 11, True, False),
         CameraFault("a", "lag", 10, 15, True, True, lag_frames=1),
+        CameraFault("a", "calibration", 10, 15, True, True, offset_m=0.02),
     )
+    worse = CameraFault("a", "calibration", 10, 15, True, True, offset_m=0.03)
+    assert not usable_cameras((worse,), ("a", "b", "c"), np.arange(10, 16))[:, 0].any()
     usable = usable_cameras(faults, ("a", "b", "c"), np.arange(10, 16))
     assert usable[:, 0].all()
     np.testing.assert_array_equal(usable[:, 1], [True, True, False, False, False, False])
