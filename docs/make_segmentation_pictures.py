@@ -1,4 +1,4 @@
-"""Make docs/pictures/segmentation.png and refined.png from the synthetic demo session.
+"""Make docs/pictures/segmentation.png from the synthetic demo session.
 
 mocap synth --scene demo -o out/demo/session
 python -m docs.make_segmentation_pictures [--session out/demo/session]
@@ -14,19 +14,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.foreground import Segmenter, learn_background, refine_mask
+from mocap.foreground import Segmenter, learn_background
 from mocap.io.session import Session, open_session
 from mocap.io.video import FrameReader, iter_clip
 from mocap.view import contact_sheet, crop, draw_mask
-from mocap.volume import Carver, choose_grid, colour_hull, surface_voxels
-from mocap.volume.residuals import reproject
 
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 FRAME, CAMERA = 38, 3
 SHADOW_COLOUR = (86, 180, 233)
-VOXEL_SIZE_M = 0.03
 MAX_BYTES = 190_000
 
 
@@ -80,20 +77,6 @@ def main(argv: list[str] | None = None) -> int:
         ("mask", black_and_white),
     ]
     write(options.out / "segmentation.png", [(label, part(picture)) for label, picture in panels])
-
-    # One camera without any mask: the hull of the others tells where to look.
-    others = [c for c in range(len(session.rig)) if c != CAMERA]
-    rig = session.rig.subset([session.rig.names[c] for c in others])
-    grid = choose_grid(rig, VOXEL_SIZE_M, bounds_m=session.room_bounds_m)
-    voxels = Carver(rig, grid).carve([masks[c] for c in others], n_faulty_views=1)
-    hull = colour_hull(voxels, surface_voxels(voxels, grid), grid, rig, None)
-    prior = reproject(hull, session.rig[CAMERA])
-    panels = [
-        ("hull of the other cameras", draw_mask(image, prior)),
-        ("refined", draw_mask(image, refine_mask(image, prior))),
-        ("own background", draw_mask(image, mask)),
-    ]
-    write(options.out / "refined.png", [(label, part(picture)) for label, picture in panels])
     return 0
 
 

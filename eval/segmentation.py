@@ -18,7 +18,7 @@ import argparse
 import statistics
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from mocap.foreground import (
     learn_background,
     median_background,
 )
-from mocap.io.session import open_session
+from mocap.io.session import Session, open_session
 from mocap.io.video import MaskReader, iter_clip
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -75,11 +75,17 @@ def cameras(folder: Path) -> Iterator[tuple[list[Image], list[Image], list[Mask]
     for camera in session.rig:
         images = list(iter_clip(session.image_sources[camera.name], camera=camera.name))
         empty = list(iter_clip(session.background_sources[camera.name], camera=camera.name))
-        source = folder / "truth" / "silhouettes.npz"
-        if not source.exists():
-            source = folder / "truth" / "masks" / f"{camera.name}.npz"
-        reader = MaskReader({camera.name: source}, session.rig.subset([camera.name]), range(len(images)))
-        yield empty, images, [masks[0] for _, masks in reader]
+        with true_silhouettes(session, [camera.name]) as reader:
+            yield empty, images, [masks[0] for _, masks in reader]
+
+
+def true_silhouettes(session: Session, cameras: Sequence[str] | None = None) -> MaskReader:
+    """The exact silhouettes of a session with truth, of some of its cameras or of all."""
+    rig = session.rig if cameras is None else session.rig.subset(cameras)
+    truth = session.root / "truth"
+    together = truth / "silhouettes.npz"
+    sources = {c.name: together if together.exists() else truth / "masks" / f"{c.name}.npz" for c in rig}
+    return MaskReader(sources, rig, session.frames)
 
 
 def background_of(method: str, empty: list[Image], images: list[Image]) -> Background:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -55,6 +55,13 @@ class Camera:
     def center(self) -> Array:
         """Optical centre in the world frame, (3,) m."""
         return -self.R.T @ self.t
+
+    def reduced(self, factor: int) -> Camera:
+        """The camera of a picture of which each square of factor x factor pixels became one."""
+        K = self.K.copy()
+        K[:2] /= factor
+        K[:2, 2] += 0.5 / factor - 0.5
+        return replace(self, K=K, size=(self.size[0] // factor, self.size[1] // factor))
 
     def project(self, points_world: Array) -> tuple[Array, Array]:
         """uv (..., 2) px and depth (...,) m of points_world (..., 3) m; NaN where not visible by geometry."""

@@ -2,6 +2,13 @@
 
 from mocap.foreground.model import Background, learn_background, median_background
 from mocap.foreground.quality import MaskQuality, mask_quality, triples_of
+from mocap.foreground.recording import (
+    KeyPictures,
+    background_of_recording,
+    first_cuts,
+    key_pictures,
+    reduction_of,
+)
 from mocap.foreground.refine import refine_mask
 from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segmenter, clean_mask
 
@@ -9,12 +16,17 @@ __all__ = [
     "Background",
     "ForegroundMask",
     "ForegroundSettings",
+    "KeyPictures",
     "MaskQuality",
     "Segmenter",
+    "background_of_recording",
     "clean_mask",
+    "first_cuts",
+    "key_pictures",
     "learn_background",
     "mask_quality",
     "median_background",
+    "reduction_of",
     "refine_mask",
     "triples_of",
 ]

@@ -58,6 +58,53 @@ def robust_statistics(samples, far, mean, std, moved):
         moved[i] = np.uint8(np.int32(values[n - 1]) - center > far or center - np.int32(values[0]) > far)
 
 
+CLEAR, RIM, PERSON = 1, 2, 3  # of a pixel of a key picture; 0 = no key picture
+
+
+@njit(cache=True, nogil=True)
+def free_statistics(samples, cover, far, mean, std, n_free):
+    """Mean and spread per pixel of what key pictures show where no person covers them; see recording.py.
+
+    samples : (n, m, 3) uint8, n <= 255.  cover : (n, m) uint8, 0, CLEAR, RIM or PERSON.  mean, std : (m, 3) float32
+    out, of all samples within `far` of the middle of the CLEAR ones (of the RIM ones where none is CLEAR).
+    n_free : (m,) uint8 out, how many gave that middle; 0 leaves mean and std 0.
+    """
+    n, m = cover.shape
+    values = np.empty((3, n), dtype=np.int32)
+    middle = np.empty(3, dtype=np.int32)
+    for i in range(m):
+        mean[i], std[i] = np.float32(0.0), np.float32(0.0)
+        count = 0
+        for wanted in (CLEAR, RIM):
+            for k in range(n):
+                if cover[k, i] == wanted:
+                    for c in range(3):
+                        values[c, count] = samples[k, i, c]
+                    count += 1
+            if count > 0:
+                break
+        n_free[i] = np.uint8(count)
+        if count == 0:
+            continue
+        for c in range(3):
+            middle[c] = np.sort(values[c, :count])[count // 2]
+        n_near = np.float32(0.0)
+        for k in range(n):
+            off = 0
+            for c in range(3):
+                off = max(off, abs(np.int32(samples[k, i, c]) - middle[c]))
+            if off <= far:
+                n_near += np.float32(1.0)
+                for c in range(3):
+                    d = np.float32(np.int32(samples[k, i, c]) - middle[c])
+                    mean[i, c] += d
+                    std[i, c] += d * d
+        for c in range(3):
+            d = mean[i, c] / max(n_near, np.float32(1.0))
+            std[i, c] = np.sqrt(max(std[i, c] / max(n_near, np.float32(1.0)) - d * d, np.float32(0.0)))
+            mean[i, c] = np.float32(middle[c]) + d
+
+
 CELL = 16  # side of the square cells that are searched for differences, px
 FOREGROUND = np.uint8(1)
 SHADOW = np.uint8(2)
@@ -150,6 +197,39 @@ def median_gain(rows, background, excluded, step, gain):
                 break
             below += bins[c, k]
     return n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cell_gains(rows, background, excluded, step, cell_width, cell_height, gains):
+    """Median ratio of the brightness of picture and background in every cell; 0 where fewer than a quarter is usable.
+
+    rows, background : (H, 3 W) uint8.  excluded : (H, W) uint8, 0 = may be used.  step : px between samples.
+    gains : (ny, nx) float32 out. The last row and column of cells may be cut off by the picture's border.
+    """
+    height, width = excluded.shape
+    values = np.empty((cell_height // step + 1) * (cell_width // step + 1), dtype=np.float32)
+    for cy in range(gains.shape[0]):
+        for cx in range(gains.shape[1]):
+            n, n_all = 0, 0
+            for y in range(cy * cell_height + step // 2, min((cy + 1) * cell_height, height), step):
+                for x in range(cx * cell_width + step // 2, min((cx + 1) * cell_width, width), step):
+                    n_all += 1
+                    a, b = np.float32(0.0), np.float32(0.0)
+                    usable = excluded[y, x] == 0
+                    for i in range(3 * x, 3 * x + 3):
+                        usable &= (background[y, i] > 20) & (background[y, i] < 250) & (rows[y, i] < 250)
+                        a += np.float32(rows[y, i])
+                        b += np.float32(background[y, i])
+                    if usable:
+                        k = n
+                        while k > 0 and values[k - 1] > a / b:
+                            values[k] = values[k - 1]
+                            k -= 1
+                        values[k] = a / b
+                        n += 1
+            known = (n > 0) & (4 * n >= n_all)
+            middle = np.float32(0.5) * (values[max(n - 1, 0) // 2] + values[n // 2])
+            gains[cy, cx] = middle if known else np.float32(0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

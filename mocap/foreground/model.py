@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.arrays import Image
+from mocap.arrays import Image, Mask
 from mocap.foreground import _kernels
 
 MAX_SAMPLES = 31  # pictures kept in memory; more improve neither mean nor spread noticeably
@@ -18,6 +18,7 @@ _STILL_STD_FLOOR = 2.0  # a still says nothing about flicker
 _FAR = 20  # levels from the usual colour that count as "something else was here"
 _MOVED_IN_EMPTY = 0.02
 _MOVED_IN_MEDIAN = 0.01
+_COVERED_WORTH_A_WORD = 0.001  # of the picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +26,9 @@ class Background:
     """Per-pixel, per-channel statistics of the empty scene of one camera.
 
     mean, std : (H, W, 3) float32, grey levels.
-    n_images : how many pictures were used.  kind : 'clip', 'median' or 'still'.
-    moving_share : share of the pixels at which some picture is far from the usual colour.
+    n_images : how many pictures were used.  kind : 'clip', 'median', 'still' or 'recording'.
+    moving_share : share of the pixels at which some picture is far from the usual colour, or shows a person.
+    covered : (H, W) bool, pixels that no picture shows empty: a person is always there; None = none.
     """
 
     mean: NDArray[np.float32]
@@ -34,6 +36,7 @@ class Background:
     n_images: int
     kind: str
     moving_share: float
+    covered: Mask | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -44,6 +47,11 @@ class Background:
             return (
                 "hardly anything moves in this clip: a person who stays in place is learnt as background; "
                 "record an empty scene",
+            )
+        if self.covered is not None and self.covered.mean() > _COVERED_WORTH_A_WORD:
+            return (
+                f"{self.covered.mean():.1%} of the picture is never seen empty: somebody stays there, and it counts as "
+                "a person in every frame",
             )
         return ()
 
@@ -59,7 +67,7 @@ def learn_background(images: Iterable[Image]) -> Background:
     Raises ValueError for no picture or pictures of different shapes.
     Source: CF 2.2.3 (statistical background learnt from an empty scene).
     """
-    samples = _thin(images)
+    samples = thinned(images)
     return _still(samples[0]) if len(samples) == 1 else _statistics(samples, "clip")
 
 
@@ -69,11 +77,11 @@ def median_background(images: Iterable[Image]) -> Background:
     images, errors : as of learn_background. Look at `warnings`: a person who never moves is learnt as
     background.
     """
-    samples = _thin(images)
+    samples = thinned(images)
     return _statistics(samples, "median")
 
 
-def _thin(images: Iterable[Image]) -> list[Image]:
+def thinned(images: Iterable[Image]) -> list[Image]:
     """Every 2^j-th picture, between 16 and 31 of a long clip; constant memory."""
     kept: list[Image] = []
     stride = 1
@@ -101,16 +109,20 @@ def _check_picture(image: Image, i: int, shape: tuple[int, ...] | None) -> None:
 
 
 def _statistics(samples: list[Image], kind: str) -> Background:
-    shape = samples[0].shape
-    stack = np.stack(samples).reshape(len(samples), -1)
-    mean = np.empty(stack.shape[1], dtype=np.float32)
-    std = np.empty(stack.shape[1], dtype=np.float32)
-    moved = np.empty(stack.shape[1], dtype=np.uint8)
-    _kernels.robust_statistics(stack, _FAR, mean, std, moved)
-    moving = float(moved.reshape(shape).any(axis=2).mean())
-    return Background(
-        mean.reshape(shape), np.maximum(std, STD_FLOOR).reshape(shape), len(samples), kind, moving
-    )
+    mean, std, moved = statistics_of(np.stack(samples), _FAR)
+    return Background(mean, np.maximum(std, STD_FLOOR), len(samples), kind, float(moved.any(axis=2).mean()))
+
+
+def statistics_of(
+    stack: NDArray[np.uint8], far: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
+    """Robust mean and spread of pictures (N, H, W, 3), and where one is more than `far` levels off; (H, W, 3) each."""
+    shape, flat = stack.shape[1:], stack.reshape(len(stack), -1)
+    mean = np.empty(flat.shape[1], dtype=np.float32)
+    std = np.empty(flat.shape[1], dtype=np.float32)
+    moved = np.empty(flat.shape[1], dtype=np.uint8)
+    _kernels.robust_statistics(flat, far, mean, std, moved)
+    return mean.reshape(shape), std.reshape(shape), moved.reshape(shape) > 0
 
 
 def _still(image: Image) -> Background:

@@ -22,6 +22,13 @@ METHODS = ("gaussian", "mog2", "knn")
 _OPENCV_RATE = {"mog2": 0.0, "knn": 1e-5}
 _REFERENCE_PIXELS = 640 * 480
 _GAIN_STEP = 16  # every 16th pixel in both directions tells the gain
+# A lamp, flicker in bands and daylight change the light of a large part of the picture; a person does not.
+_LIGHT_CELL_PX = (80, 32)
+_LIGHT_STEPS_PX = (16, 6)
+_LIGHT_EVERY = 4  # pictures; as long as the light is uneven, every picture is looked at
+_UNEVEN = 0.04
+_UNEVEN_SHARE = 0.3
+_JUMP = 0.15  # from cell to cell: the outline of a person, whose cells say nothing about the light
 _SEARCH_ROWS = 4  # one row in four is searched for differences
 _SEARCH_LEAST = 3  # differing values in the searched rows of a cell that make it worth a closer look
 _MAX_WINDOWS = 8
@@ -166,6 +173,7 @@ class Segmenter:
         if roi is not None and roi.shape != (height, width):
             raise ValueError(f"roi: expected shape {(height, width)}, got {roi.shape}")
         self._n_seen = 0
+        self._is_uneven = False
         self._mean = np.array(background.mean, dtype=np.float32).reshape(height, -1)
         self._background = np.clip(np.round(self._mean), 0, 255).astype(np.uint8)
         self._noise = float(np.median(background.std))
@@ -178,6 +186,11 @@ class Segmenter:
             self._outside = (~roi).astype(np.uint8)
             threshold[~roi] = 255  # which no difference exceeds
         self._threshold = threshold
+        self._covered = _NOTHING if background.covered is None else background.covered.astype(np.uint8)
+        if roi is not None and self._covered.size:
+            self._covered[~roi] = 0
+        if self._covered.size:
+            self._covered_in_cells = _count_in_cells(self._covered)
         self._near = self._outside.copy()
         self._touched: list[_Window] = []  # where _near differs from _outside
         self._age = np.zeros((height, width) if s.hold_frames is not None else (0, 0), dtype=np.uint16)
@@ -251,12 +264,41 @@ class Segmenter:
         step = max(1, _scaled_px(_GAIN_STEP, self.shape))
         gain = np.empty(3)
         n = _kernels.median_gain(rows, self._background, self._near, step, gain)
-        if n * step * step < 0.1 * self._near.size or np.abs(gain - 1).max() < 0.004:
+        if n * step * step < 0.1 * self._near.size:
+            return rows
+        if (field := self._light_field(rows, float(gain.mean()))) is not None:
+            light = np.clip(field[:, :, None] * (gain / gain.mean()).astype(np.float32), 0.4, 2.5)
+            even = rows.reshape(self.shape) / light
+            return np.clip(np.round(even), 0, 255).astype(np.uint8).reshape(rows.shape)
+        if np.abs(gain - 1).max() < 0.004:
             return rows
         factor = np.tile(np.round(65536 / np.clip(gain, 0.5, 2.0)).astype(np.int64), self.shape[1])
         out = np.empty_like(rows)
         _kernels.scale_rows(rows, self._background, factor, out)
         return out
+
+    def _light_field(self, rows: Bytes, gain: float) -> NDArray[np.float32] | None:
+        """The light relative to the background, (H, W), where it has changed unevenly; None where it has not."""
+        if not self._is_uneven and self._n_seen % _LIGHT_EVERY:
+            return None
+        self._is_uneven = False
+        height, width = self.shape[:2]
+        w, h = (_scaled_px(length, self.shape) for length in _LIGHT_CELL_PX)
+        cells = np.empty((-(-height // h), -(-width // w)), dtype=np.float32)
+        for step in _LIGHT_STEPS_PX:  # a quick look first, at most pictures the only one
+            _kernels.cell_gains(rows, self._background, self._near, _scaled_px(step, self.shape), w, h, cells)
+            known = cells > 0
+            cells[~known] = gain
+            uneven = known & _without_jumps(cells, _JUMP * gain) & (np.abs(cells - gain) > _UNEVEN * gain)
+            if np.count_nonzero(uneven) < _UNEVEN_SHARE * cells.size:
+                return None
+        self._is_uneven = True
+        even = known & (np.abs(cells - cv2.medianBlur(cells, 5)) < _JUMP * gain)
+        near = cv2.GaussianBlur(even.astype(np.float32), (0, 0), 1.0)
+        around = cv2.GaussianBlur(np.where(even, cells, np.float32(0)), (0, 0), 1.0)
+        cells = np.where(even, cells, np.where(near > 1e-3, around / np.maximum(near, 1e-3), gain))
+        field = cv2.resize(cells.astype(np.float32), (cells.shape[1] * w, cells.shape[0] * h))
+        return np.ascontiguousarray(field[:height, :width])
 
     def _windows(self, rows: Bytes) -> list[_Window]:
         """Where the picture differs from the background, with a margin; none of them overlap."""
@@ -265,6 +307,8 @@ class Segmenter:
         counts = np.zeros((-(-height // cell), -(-width // cell)), dtype=np.int32)
         first = min(1, height - 1)
         _kernels.count_differences(rows, self._background, self._threshold, first, _SEARCH_ROWS, counts)
+        if self._covered.size:
+            counts += self._covered_in_cells
         active = (counts >= _SEARCH_LEAST).view(np.uint8)
         if not active.any():
             return []
@@ -310,6 +354,11 @@ class Segmenter:
         )
         place = (window.y0, window.x0, width)
         _kernels.shadow_test(rows, self._background, place, solid, rule, foreground, dark)
+        if self._covered.size:
+            always = self._covered[window.slices]
+            foreground[:, :width] |= always
+            dark[:, :width] &= always ^ 1
+            np.maximum(largest[:, :width], always * round(s.strong_difference + 1), out=largest[:, :width])
         shadow[window.slices] = dark[:, :width]
         # Specks in the shadow would be joined to the person by the closing.
         specks = _regions(foreground, _strong(largest, s), 1)
@@ -378,6 +427,27 @@ def _without_overlaps(windows: list[_Window]) -> list[_Window]:
                 window = window.joined(other)
         apart.append(window)
     return apart
+
+
+def _without_jumps(cells: NDArray[np.float32], most: float) -> Mask:
+    """Cells (ny, nx) that differ from none beside, above or below them by more than `most`."""
+    down = np.abs(np.diff(cells, axis=0)) > most
+    across = np.abs(np.diff(cells, axis=1)) > most
+    even = np.ones(cells.shape, dtype=np.bool_)
+    even[:-1] &= ~down
+    even[1:] &= ~down
+    even[:, :-1] &= ~across
+    even[:, 1:] &= ~across
+    return even
+
+
+def _count_in_cells(mask: Bytes) -> NDArray[np.int32]:
+    """Ones of a mask (H, W) in every cell of the search."""
+    cell = _kernels.CELL
+    height, width = mask.shape
+    padded = np.pad(mask, ((0, -height % cell), (0, -width % cell)))
+    cells = padded.reshape(padded.shape[0] // cell, cell, padded.shape[1] // cell, cell)
+    return cells.sum(axis=(1, 3), dtype=np.int32)
 
 
 def _slope(background: Image) -> NDArray[np.float32]:

@@ -32,9 +32,10 @@ NameOrFile = Annotated[str, _NAMES_FILE]
 class SegmentationConfig(_Section):
     """Foreground segmentation (CF 2.2.3)."""
 
-    background: Literal["auto", "clip", "first", "median"] = "auto"
-    """Where the background is learnt: `clip` = background/, `first` = the first frames of the videos, `median` = the
-    temporal median of the videos; `auto` = clip if there is one, else median."""
+    background: Literal["auto", "clip", "recording", "first", "median"] = "auto"
+    """Where the background is learnt: `clip` = background/, `recording` = the videos themselves, with the other cameras
+    as witnesses of who stays in place, `first` = the first frames of the videos, `median` = their temporal median;
+    `auto` = clip if there is one, else recording, with fewer than four cameras median."""
     first_frames: int = Field(default=30, ge=1)
     """Frames that `first` learns from; the room must be empty in them."""
     median_frames: int = Field(default=50, ge=3)

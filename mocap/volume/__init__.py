@@ -16,6 +16,7 @@ from mocap.volume.grid import choose_grid
 from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_cells, no_occluders
 from mocap.volume.residuals import SilhouetteResiduals, silhouette_residuals
 from mocap.volume.surface import surface_map, surface_voxels
+from mocap.volume.witness import Witness
 
 __all__ = [
     "CameraFault",
@@ -26,6 +27,7 @@ __all__ = [
     "SilhouetteEvidence",
     "SilhouetteResiduals",
     "VoteVolume",
+    "Witness",
     "carve_bruteforce",
     "choose_grid",
     "coarsen",

@@ -11,7 +11,7 @@ probabilities.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -62,7 +62,7 @@ class OccluderLearner:
     def __init__(self, rig: CameraRig, grid: VoxelGrid) -> None:
         if len(rig) < MIN_CAMERAS:
             raise ValueError(f"occluders can be told from at least {MIN_CAMERAS} cameras, got {len(rig)}")
-        self._rig = CameraRig(tuple(_reduced(camera) for camera in rig))
+        self._rig = CameraRig(tuple(camera.reduced(CELL_PX) for camera in rig))
         side = max(VOXEL_M, grid.voxel_size_m)
         self._n_faulty = max(1, len(rig) // 2)
         self._carver = Carver(self._rig, VoxelGrid.from_bounds(grid.origin, grid.upper, side))
@@ -206,15 +206,6 @@ def masks_by_cells(masks: Sequence[Mask]) -> list[Cells]:
         mean = cv2.resize(part, (w, h), interpolation=cv2.INTER_AREA)
         reduced.append((mean > 0).view(np.uint8) + (mean >= 128).view(np.uint8))
     return reduced
-
-
-def _reduced(camera: Camera) -> Camera:
-    """The camera of a picture reduced to cells."""
-    K = camera.K.copy()
-    K[:2] /= CELL_PX
-    K[:2, 2] += 0.5 / CELL_PX - 0.5
-    size = (camera.size[0] // CELL_PX, camera.size[1] // CELL_PX)
-    return replace(camera, K=K, size=size)
 
 
 def _space_of(rig: CameraRig, grid: VoxelGrid, side: float) -> VoxelGrid:

@@ -35,13 +35,17 @@ class SilhouetteResiduals:
 
 def reproject(hull: Hull, camera: Camera) -> Mask:
     """Silhouette (H, W) bool of the hull in a camera: one square per surface voxel, 1.2 voxels wide."""
+    return silhouette(camera, hull.grid.centers(hull.voxels[hull.is_surface]), hull.grid.voxel_size_m)
+
+
+def silhouette(camera: Camera, centers: Array, side_m: float) -> Mask:
+    """Silhouette (H, W) bool of cubes around centers (N, 3) m: one square each, 1.2 sides wide."""
     width, height = camera.size
     canvas = np.zeros((height, width), dtype=np.uint8)
-    surface = hull.voxels[hull.is_surface]
-    if len(surface):
-        uv, depth = camera.project(hull.grid.centers(surface))
+    if len(centers):
+        uv, depth = camera.project(centers)
         focal = max(camera.K[0, 0], camera.K[1, 1])
-        half = 0.5 * FOOTPRINT * hull.grid.voxel_size_m * focal / np.maximum(depth, 1e-3)
+        half = 0.5 * FOOTPRINT * side_m * focal / np.maximum(depth, 1e-3)
         _kernels.paint_boxes(uv, half, canvas)
     return canvas.astype(np.bool_)
 

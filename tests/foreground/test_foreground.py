@@ -315,3 +315,29 @@ def test_an_answer_does_not_depend_on_other_persons_far_away():
         return Segmenter(background, settings).segment(np.clip(picture + noise, 0, 255).astype(np.uint8)).mask
 
     np.testing.assert_array_equal(masks_of(left, right), masks_of(left) | masks_of(right))
+
+
+@pytest.mark.parametrize("change", [-0.3, 0.3])
+def test_a_lamp_that_lights_half_of_the_room_is_no_person(change):
+    rng = np.random.default_rng(12)
+    scene = 0.75 * wall(rng)
+    background = learn_background(photograph(scene, rng) for _ in range(12))
+    light = 1 + change / (1 + np.exp(-(np.arange(W) - 80.0) / 20.0))
+    mask = np.zeros((H, W), dtype=bool)
+    mask[30:100, 22:36] = True
+    lit = np.where(mask[:, :, None], (40.0, 60.0, 110.0), scene) * light[None, :, None]
+    segmenter = Segmenter(background, SETTINGS)
+    assert iou(segmenter.segment(photograph(lit, rng)).mask, mask) > MIN_IOU
+    if change > 0:  # what becomes darker passes for a shadow
+        blunt = Segmenter(background, ForegroundSettings(min_area_px=600.0, compensate_gain=False))
+        assert iou(blunt.segment(photograph(lit, rng)).mask, mask) < 0.3
+
+
+def test_a_large_person_is_no_change_of_the_light():
+    rng = np.random.default_rng(13)
+    scene = wall(rng)
+    segmenter = Segmenter(learn_background(photograph(scene, rng) for _ in range(12)), SETTINGS)
+    mask = np.zeros((H, W), dtype=bool)
+    mask[20:110, 50:90] = True  # a fifth of the picture
+    picture = photograph(with_person(scene, mask, (60.0, 80.0, 140.0)), rng)
+    assert iou(segmenter.segment(picture).mask, mask) > MIN_IOU

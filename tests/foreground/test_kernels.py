@@ -256,3 +256,51 @@ def test_bounds_of() -> None:
     assert kernels.bounds_of(runs, n_runs, np.array([True, True])) == (4, 33, 10, 40)
     assert kernels.bounds_of(runs, n_runs, np.array([False, True])) == (20, 33, 30, 40)
     assert kernels.bounds_of(runs, n_runs, np.array([False, False])) == (0, 0, 0, 0)
+
+
+def test_statistics_of_what_no_person_covers() -> None:
+    rng = np.random.default_rng(9)
+    n, m, far_px = 9, 57, 20
+    samples = rng.integers(60, 90, (n, m, 3), dtype=np.uint8)
+    samples[4:6] += 90  # somebody
+    cover = np.zeros((n, m), np.uint8)
+    cover[::2] = rng.integers(1, 4, (5, m))
+    mean, std = np.empty((m, 3), np.float32), np.empty((m, 3), np.float32)
+    n_free = np.empty(m, np.uint8)
+    kernels.free_statistics(samples, cover, far_px, mean, std, n_free)
+    for i in range(m):
+        chosen = cover[:, i] == kernels.CLEAR
+        if not chosen.any():
+            chosen = cover[:, i] == kernels.RIM
+        assert n_free[i] == np.count_nonzero(chosen)
+        if not chosen.any():
+            assert not mean[i].any()
+            continue
+        own = samples[:, i].astype(float)
+        middle = np.sort(own[chosen], axis=0)[np.count_nonzero(chosen) // 2]
+        near = own[np.abs(own - middle).max(axis=1) <= far_px]
+        if len(near):
+            np.testing.assert_allclose(mean[i], near.mean(axis=0), atol=1e-3)
+            np.testing.assert_allclose(std[i], near.std(axis=0), atol=1e-3)
+
+
+def test_gains_of_cells() -> None:
+    image, background, rng = pictures(6)
+    excluded = (rng.random((H, W)) < 0.3).astype(np.uint8)
+    excluded[:16, :20] = 1
+    cell_width, cell_height, step = 20, 16, 2
+    gains = np.empty((-(-H // cell_height), -(-W // cell_width)), np.float32)
+    kernels.cell_gains(
+        image.reshape(H, -1), background.reshape(H, -1), excluded, step, cell_width, cell_height, gains
+    )
+    usable = (excluded == 0) & ((background > 20) & (background < 250) & (image < 250)).all(axis=2)
+    ratio = image.sum(axis=2) / background.sum(axis=2)
+    for (cy, cx), gain in np.ndenumerate(gains):
+        cell = np.s_[
+            cy * cell_height + 1 : (cy + 1) * cell_height : step,
+            cx * cell_width + 1 : (cx + 1) * cell_width : step,
+        ]
+        chosen = ratio[cell][usable[cell]]
+        expected = np.median(chosen) if 4 * len(chosen) >= usable[cell].size else 0.0
+        assert gain == pytest.approx(expected, rel=1e-5)
+    assert gains[0, 0] == 0.0

@@ -1,4 +1,4 @@
-"""GrabCut near a prior: a known outline is found again; edge cases come back unchanged."""
+"""GrabCut from a guess: a known outline is found again; edge cases come back unchanged."""
 
 from __future__ import annotations
 
@@ -30,42 +30,48 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_hull_that_is_too_large_shrinks_to_the_person(seed: int) -> None:
+def test_a_guess_that_is_too_large_shrinks_to_the_person(seed: int) -> None:
     image, truth = scene(seed)
-    prior = grown(truth, 3)
-    refined = refine_mask(image, prior)
-    assert iou(prior, truth) < 0.85
+    allowed = grown(truth, 6)
+    guess = grown(truth, 3)
+    refined = refine_mask(image, allowed, guess)
+    assert iou(guess, truth) < 0.85
     assert iou(refined, truth) > 0.97
-    np.testing.assert_array_equal(refined, refine_mask(image, prior))
+    np.testing.assert_array_equal(refined, refine_mask(image, allowed, guess))
 
 
-def test_a_mask_with_a_gap_is_completed_inside_the_prior_only() -> None:
+def test_a_guess_with_a_gap_is_completed_inside_what_is_allowed_only() -> None:
     image, truth = scene(5)
-    mask = truth.copy()
-    mask[50:64] = False
-    prior = grown(truth, 3)
-    prior[:25] = False
-    refined = refine_mask(image, prior, mask)
+    guess = truth.copy()
+    guess[50:64] = False
+    allowed = grown(truth, 3)
+    allowed[:25] = False
+    refined = refine_mask(image, allowed, guess)
     assert np.count_nonzero(refined[50:64] & truth[50:64]) > 0.9 * np.count_nonzero(truth[50:64])
-    assert not np.any(refined & ~prior)
+    assert not np.any(refined & ~allowed)
+
+
+def test_a_smaller_picture_gives_nearly_the_same() -> None:
+    image, truth = scene(7)
+    refined = refine_mask(image, grown(truth, 6), grown(truth, 3), reduction=2)
+    assert (
+        iou(refined, truth) > 0.93
+    )  # one pixel of the small picture more or less along an outline of 150 pixels
 
 
 def test_what_cannot_be_refined_comes_back() -> None:
     image, truth = scene(6)
     nothing = np.zeros((H, W), dtype=bool)
-    assert not refine_mask(image, nothing).any()
-    thin = nothing.copy()
-    thin[40, 20:60] = True
-    np.testing.assert_array_equal(refine_mask(image, thin), thin)
-    np.testing.assert_array_equal(refine_mask(image, nothing, truth), truth)
-    np.testing.assert_array_equal(refine_mask(image, ~nothing), ~nothing)
+    assert not refine_mask(image, nothing, truth).any()
+    assert not refine_mask(image, truth, nothing).any()
+    np.testing.assert_array_equal(refine_mask(image, ~nothing, ~nothing), ~nothing)
 
 
-def test_mistakes_are_named() -> None:
-    image, truth = scene(7)
-    with pytest.raises(ValueError, match="prior: expected bool of shape"):
-        refine_mask(image, truth[:-1])
-    with pytest.raises(ValueError, match="mask: expected bool"):
+def test_shapes_are_checked() -> None:
+    image, truth = scene(6)
+    with pytest.raises(ValueError, match="allowed"):
+        refine_mask(image, truth[:-1], truth)
+    with pytest.raises(ValueError, match="likely"):
         refine_mask(image, truth, truth.astype(np.uint8))
-    with pytest.raises(ValueError, match="image: expected"):
-        refine_mask(image[:, :, 0], truth)
+    with pytest.raises(ValueError, match="image"):
+        refine_mask(image[:, :, 0], truth, truth)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import islice
 from typing import Any
 
 import cv2
@@ -14,20 +13,17 @@ from numpy.typing import NDArray
 from mocap.data import Camera
 from mocap.errors import MocapError
 from mocap.foreground import (
-    Background,
     ForegroundMask,
     ForegroundSettings,
     MaskQuality,
     Segmenter,
-    learn_background,
     mask_quality,
-    median_background,
 )
 from mocap.foreground.quality import Triple
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.io.video import MaskReader, iter_clip
-from mocap.pipeline.config import SegmentationConfig
+from mocap.pipeline.backgrounds import learn_backgrounds
 from mocap.pipeline.stage import (
     Ending,
     FrameWork,
@@ -42,65 +38,6 @@ from mocap.pipeline.stage import (
 from mocap.products.masks import PRODUCT, mask_row, masks_from_arrays
 
 _QUALITY_FRAMES = 40  # looked at closely for the quality of the masks
-
-
-def learn_backgrounds(
-    session: Session,
-    config: SegmentationConfig,
-    warnings: list[str],
-    each: Callable[..., Iterable[Any]] = map,
-) -> list[Background]:
-    """One background per camera, from background/, the first frames, or the temporal median.
-
-    each : `map`, perhaps over threads.
-    Raises MocapError when there is nothing to learn from, saying how to help.
-    """
-    backgrounds: list[Background] = list(each(lambda c: _background_of(c, session, config), session.rig))
-    for camera, background in zip(session.rig, backgrounds, strict=True):
-        warnings += [f"camera {camera.name}: {w}" for w in background.warnings]
-    median = [c.name for c in session.rig if _background_source(c, session, config) == "median"]
-    if median:
-        warnings.append(
-            f"the background of {', '.join(median)} was learnt as the temporal median of {len(session.frames)} frames; "
-            "a person who stays in place, or a short clip, is lost this way. Remedy: record an empty scene as "
-            "background/CAMERA.mp4"
-        )
-    return backgrounds
-
-
-def _background_source(camera: Camera, session: Session, config: SegmentationConfig) -> str:
-    """clip, first or median."""
-    if config.background != "auto":
-        return config.background
-    return "clip" if camera.name in session.background_sources else "median"
-
-
-def _background_of(camera: Camera, session: Session, config: SegmentationConfig) -> Background:
-    source = _background_source(camera, session, config)
-    if source == "clip":
-        if camera.name not in session.background_sources:
-            raise MocapError(
-                "there is no clip of the empty scene",
-                camera=camera.name,
-                path=session.root / "background",
-                remedy="record one, or set segmentation.background to median or first",
-            )
-        return learn_background(
-            iter_clip(session.background_sources[camera.name], size=camera.size, camera=camera.name)
-        )
-    n_frames = len(session.frames)
-    if n_frames < 3:
-        raise MocapError(
-            f"no background to learn from: {n_frames} frame(s) and no background/ folder",
-            camera=camera.name,
-            path=session.root,
-            remedy="add pictures of the empty scene as background/CAMERA.png, or masks/CAMERA/*.png",
-        )
-    clip = iter_clip(session.image_sources[camera.name], size=camera.size, camera=camera.name)
-    clip = islice(clip, session.frames.start, session.frames.stop)
-    if source == "first":
-        return learn_background(islice(clip, config.first_frames))
-    return median_background(islice(clip, 0, None, max(1, n_frames // config.median_frames)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,5 +181,5 @@ SEGMENT = Stage(
     work=FrameWork(_reads, _start, _step, _finish, finds=("masks",)),
     report=segment_report,
     sections=("segmentation",),
-    facts=("fps", "roi_px"),
+    facts=("fps", "roi_px", "room_bounds_m"),
 )

@@ -1,0 +1,167 @@
+"""Background of a recording without an empty clip, where persons may stay in place all the time.
+
+What stands still by itself is quiet; a person never is: he sways, limbs move, cloth folds. So a picture of how
+unrestful each pixel is over the clip shows everybody who was there, and other cameras tell him from shadows. In a few
+key pictures he is cut out; what no cut has covered is the background there, and what all have covered is always him.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.arrays import Image, Mask
+from mocap.foreground import _kernels
+from mocap.foreground.model import STD_FLOOR, Background, statistics_of, thinned
+from mocap.foreground.refine import refine_mask
+
+KEY_PICTURES = 12  # each takes 0.1 s per camera; what is free in one of them is learnt
+WORKING_WIDTH_PX = 640  # larger pictures are cut reduced; their background is learnt in full
+# Spread over the clip relative to noise. In the scenes gesture, box and stand 95 % of what a person always covers has
+# more than 1.3 to 3, nine tenths of the room less than 1.7, shadows up to 7.
+_UNREST = 2.0
+_QUIET = 1.6
+_FAR = 20  # levels from the usual colour that count as "something else was here"
+_DIFFERS = 15  # levels from what is painted in that make a pixel likely to show a person in the first cut
+_MOST_HOLE_PX = 6000  # of 640 x 480: a hole in what moves that may still be inside a person
+_RIM_PX = 2  # blur and compression mix colours so far beside a person
+_LEAST_STD = 4.0  # times the usual spread that a background pixel may have at most
+
+
+@dataclass(frozen=True, eq=False)
+class KeyPictures:
+    """What one camera's clip shows, reduced to the working size (h, w).
+
+    pictures : (K, h, w, 3) uint8, evenly spread, changes of the light as a whole divided out.
+    usual : (h, w, 3) uint8, the most persistent colour.  is_quiet : (h, w) bool, where that is what stands still.
+    is_active : (h, w) bool, where something that moves was at some time: persons and their shadows.
+    """
+
+    pictures: NDArray[np.uint8]
+    usual: Image
+    is_quiet: Mask
+    is_active: Mask
+
+
+def reduction_of(width: int) -> int:
+    """The whole number by which pictures of a width are reduced to the working size."""
+    return max(1, round(width / WORKING_WIDTH_PX))
+
+
+def key_pictures(images: Iterable[Image]) -> KeyPictures:
+    """Key pictures of a clip, and where it is quiet and where not.
+
+    images, errors : as of learn_background.
+    """
+    samples = thinned(images)
+    factor = reduction_of(samples[0].shape[1])
+    stack = np.stack([_reduced(image, factor) for image in _same_light(samples)])
+    soft = np.stack([cv2.blur(image, (3, 3)) for image in stack])
+    usual, spread, moved = statistics_of(soft, _FAR)
+    within = spread.max(axis=2)
+    noise = max(float(np.median(within)), 0.2)
+    total = soft.std(axis=0, dtype=np.float32).max(axis=2)
+    unrest = cv2.blur(total / noise, (5, 5)) > _UNREST
+    active = cv2.morphologyEx(unrest.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
+    active = cv2.morphologyEx(active, cv2.MORPH_CLOSE, _disc(5))
+    is_active = _without_holes(active > 0, _MOST_HOLE_PX * active.size / (640 * 480))
+    near = np.mean([(np.abs(image - usual) < _FAR).all(axis=2) for image in soft], axis=0)
+    # Somebody who stands can be quiet inside his outline; there nothing else was ever seen.
+    quiet = (cv2.blur(within / noise, (5, 5)) < _QUIET) & (near >= 0.5) & (~is_active | moved.any(axis=2))
+    quiet = cv2.morphologyEx(quiet.astype(np.uint8), cv2.MORPH_OPEN, _disc(3)) > 0
+    return KeyPictures(
+        stack[keys_of(len(stack))],
+        np.clip(np.round(usual), 0, 255).astype(np.uint8),
+        quiet,
+        is_active,
+    )
+
+
+def keys_of(n_samples: int) -> NDArray[np.int64]:
+    """Which of the samples of a clip are its key pictures, (K,) ascending."""
+    return np.unique(np.linspace(0, n_samples - 1, KEY_PICTURES).round().astype(np.int64))
+
+
+def first_cuts(keys: KeyPictures, region: Mask) -> list[Mask]:
+    """The persons in each key picture, (h, w) bool, from one camera alone: often right, now and then far off.
+
+    region : (h, w) bool, where persons can be; outside is background.
+    """
+    unknown = region & ~keys.is_quiet
+    empty = cv2.inpaint(keys.usual, unknown.astype(np.uint8), 5, cv2.INPAINT_TELEA)
+    cuts = []
+    for picture in keys.pictures:
+        differs = cv2.absdiff(picture, empty).max(axis=2) > _DIFFERS
+        cuts.append(refine_mask(picture, region, region & keys.is_active & differs, reduction=2))
+    return cuts
+
+
+def background_of_recording(images: Iterable[Image], cuts: Sequence[Mask]) -> Background:
+    """Background of a clip whose key pictures are cut.
+
+    images : the clip that gave the key pictures.  cuts : (h, w) bool, the persons in each.
+    A pixel that a cut leaves free takes the middle of these key pictures and the statistics of all samples near it;
+    what is covered in all of them is `covered`, its colour painted in from around.
+    Raises ValueError for another number of cuts than of key pictures.
+    """
+    samples = thinned(images)
+    keys = keys_of(len(samples))
+    if len(cuts) != len(keys):
+        raise ValueError(f"cuts: expected {len(keys)}, one per key picture, got {len(cuts)}")
+    height, width = samples[0].shape[:2]
+    cover = np.zeros((len(samples), height, width), dtype=np.uint8)
+    for k, cut in zip(keys, cuts, strict=True):
+        own = cv2.resize(cut.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+        cover[k] = 1 + own + cv2.dilate(own, _disc(_RIM_PX * reduction_of(width)))
+    stack = np.stack(_same_light(samples))
+    mean = np.empty((height, width, 3), dtype=np.float32)
+    std = np.empty_like(mean)
+    n_free = np.empty((height, width), dtype=np.uint8)
+    _kernels.free_statistics(
+        stack.reshape(len(stack), -1, 3), cover.reshape(len(stack), -1), _FAR,
+        mean.reshape(-1, 3), std.reshape(-1, 3), n_free.reshape(-1),
+    )  # fmt: skip
+    covered = n_free == 0
+    shown = np.clip(np.round(mean), 0, 255).astype(np.uint8)
+    painted = cv2.inpaint(shown, covered.astype(np.uint8), 3, cv2.INPAINT_TELEA)
+    mean[covered] = painted[covered]
+    usual = max(float(np.median(std)), STD_FLOOR)
+    std[covered] = usual
+    np.clip(std, usual, _LEAST_STD * usual, out=std)
+    return Background(mean, std, len(samples), "recording", float((cover > 1).any(axis=0).mean()), covered)
+
+
+def _same_light(samples: Sequence[Image]) -> list[Image]:
+    """Pictures whose light as a whole is that of the middle one, channel by channel."""
+    middle = samples[len(samples) // 2][::16, ::16].astype(np.float32) + 1
+    out = []
+    for image in samples:
+        gain = np.median((image[::16, ::16] + np.float32(1)) / middle, axis=(0, 1))
+        plain = np.clip(np.round(image / np.clip(gain, 0.5, 2.0)), 0, 255).astype(np.uint8)
+        out.append(plain if np.abs(gain - 1).max() >= 0.004 else image)
+    return out
+
+
+def _reduced(image: Image, factor: int) -> Image:
+    height, width = image.shape[:2]
+    size = (width // factor, height // factor)
+    area = image[: size[1] * factor, : size[0] * factor]
+    return area if factor == 1 else cv2.resize(area, size, interpolation=cv2.INTER_AREA)
+
+
+def _without_holes(mask: Mask, most_px: float) -> Mask:
+    """The mask with holes of up to so many pixels filled; what touches the border of the picture is no hole."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
+    x, y, w, h, area = stats.T
+    inner = (x > 0) & (y > 0) & (x + w < mask.shape[1]) & (y + h < mask.shape[0])
+    fill = inner & (area <= most_px)
+    fill[0] = False
+    return mask | fill[labels]
+
+
+def _disc(radius: int) -> NDArray[np.uint8]:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))

@@ -1,0 +1,135 @@
+"""Backgrounds of a session's cameras: from a clip of the empty scene, or from the recording itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+from typing import Any
+
+from mocap.arrays import Image, Mask
+from mocap.data import Camera, CameraRig
+from mocap.errors import MocapError
+from mocap.foreground import (
+    Background,
+    KeyPictures,
+    background_of_recording,
+    first_cuts,
+    key_pictures,
+    learn_background,
+    median_background,
+    reduction_of,
+    refine_mask,
+)
+from mocap.io.session import Session
+from mocap.io.video import iter_clip
+from mocap.pipeline.config import SegmentationConfig
+from mocap.volume import Witness, choose_grid
+
+_LEAST_FRAMES = 3
+_LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two cones cross in many places
+_VOXEL_M = 0.03
+_REMEDY = "record an empty scene as background/CAMERA.mp4"
+
+
+def learn_backgrounds(
+    session: Session,
+    config: SegmentationConfig,
+    warnings: list[str],
+    each: Callable[..., Iterable[Any]] = map,
+) -> list[Background]:
+    """One background per camera, from background/, the first frames, or the recording.
+
+    each : `map`, perhaps over threads.
+    Raises MocapError when there is nothing to learn from, saying how to help.
+    """
+    sources = {camera.name: _source(camera, session, config) for camera in session.rig}
+    from_recording = [name for name, source in sources.items() if source == "recording"]
+    found = _of_recording(session, from_recording, warnings, each) if from_recording else {}
+    others = [camera for camera in session.rig if camera.name not in found]
+    learnt = each(lambda camera: _of_one_camera(camera, session, config, sources[camera.name]), others)
+    found |= {camera.name: background for camera, background in zip(others, learnt, strict=True)}
+    backgrounds = [found[name] for name in session.rig.names]
+    for name, background in zip(session.rig.names, backgrounds, strict=True):
+        warnings += [f"camera {name}: {w}" for w in background.warnings]
+    if from_recording:
+        warnings.append(
+            f"the background of {', '.join(from_recording)} was learnt from the recording itself: what stands still "
+            f"and is seen by few cameras may be missing. Remedy: {_REMEDY}"
+        )
+    if median := [name for name, source in sources.items() if source == "median"]:
+        warnings.append(
+            f"the background of {', '.join(median)} was learnt as the temporal median of {len(session.frames)} frames; "
+            f"a person who stays in place, or a short clip, is lost this way. Remedy: {_REMEDY}"
+        )
+    return backgrounds
+
+
+def _source(camera: Camera, session: Session, config: SegmentationConfig) -> str:
+    """clip, first, median or recording."""
+    if config.background != "auto":
+        return config.background
+    if camera.name in session.background_sources:
+        return "clip"
+    return "recording" if len(session.rig) >= _LEAST_CAMERAS else "median"
+
+
+def _of_one_camera(camera: Camera, session: Session, config: SegmentationConfig, source: str) -> Background:
+    if source == "clip":
+        if camera.name not in session.background_sources:
+            raise MocapError(
+                "there is no clip of the empty scene",
+                camera=camera.name,
+                path=session.root / "background",
+                remedy="record one, or set segmentation.background to recording, median or first",
+            )
+        return learn_background(
+            iter_clip(session.background_sources[camera.name], size=camera.size, camera=camera.name)
+        )
+    _check_frames(camera, session)
+    if source == "first":
+        return learn_background(islice(_clip(camera, session), config.first_frames))
+    stride = max(1, len(session.frames) // config.median_frames)
+    return median_background(islice(_clip(camera, session), 0, None, stride))
+
+
+def _of_recording(
+    session: Session, names: list[str], warnings: list[str], each: Callable[..., Iterable[Any]]
+) -> dict[str, Background]:
+    """Backgrounds of some cameras from the recording; all cameras are witnesses."""
+    rig = session.rig
+    for camera in rig:
+        _check_frames(camera, session)
+    keys: list[KeyPictures] = list(each(lambda camera: key_pictures(_clip(camera, session)), rig))
+    small = CameraRig(tuple(camera.reduced(reduction_of(camera.size[0])) for camera in rig))
+    witness = Witness(small, choose_grid(small, _VOXEL_M, bounds_m=session.room_bounds_m))
+    regions = witness.regions([key.is_active for key in keys])
+    if not any(region.any() for region in regions):
+        warnings.append(
+            "nobody moves in this recording where enough cameras see him; whoever is in it is learnt as background. "
+            f"Remedy: {_REMEDY}"
+        )
+    cuts: list[list[Mask]] = list(each(first_cuts, keys, regions))
+    for k in range(len(cuts[0])):
+        guesses = witness.corrected([cut[k] for cut in cuts])
+        pictures = [key.pictures[k] for key in keys]
+        for cut, again in zip(cuts, each(refine_mask, pictures, *zip(*guesses, strict=True)), strict=True):
+            cut[k] = again
+    wanted = [(camera, cut) for camera, cut in zip(rig, cuts, strict=True) if camera.name in names]
+    learnt = each(lambda pair: background_of_recording(_clip(pair[0], session), pair[1]), wanted)
+    return {camera.name: background for (camera, _), background in zip(wanted, learnt, strict=True)}
+
+
+def _clip(camera: Camera, session: Session) -> Iterator[Image]:
+    """The pictures of the frames of the session."""
+    clip = iter_clip(session.image_sources[camera.name], size=camera.size, camera=camera.name)
+    return islice(clip, session.frames.start, session.frames.stop)
+
+
+def _check_frames(camera: Camera, session: Session) -> None:
+    if len(session.frames) < _LEAST_FRAMES:
+        raise MocapError(
+            f"no background to learn from: {len(session.frames)} frame(s) and no background/ folder",
+            camera=camera.name,
+            path=session.root,
+            remedy="add pictures of the empty scene as background/CAMERA.png, or masks/CAMERA/*.png",
+        )

@@ -1,0 +1,98 @@
+"""A recording without an empty clip: who stays in place is found, and what he uncovers is learnt."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from mocap.foreground import (
+    Segmenter,
+    background_of_recording,
+    first_cuts,
+    key_pictures,
+    median_background,
+)
+from mocap.foreground.recording import keys_of
+
+H, W, N = 96, 136, 40
+NOISE = 1.5
+
+
+def recording() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The empty wall, N pictures of somebody who sways by two pixels and waves, and his silhouettes."""
+    rng = np.random.default_rng(11)
+    wall = cv2.resize(rng.uniform(100, 130, (5, 7, 3)), (W, H), interpolation=cv2.INTER_CUBIC)
+    cloth = cv2.resize(rng.uniform(40, 90, (H // 3, W // 3, 3)), (W, H), interpolation=cv2.INTER_LINEAR)
+    pictures, silhouettes = [], []
+    for i in range(N):
+        sway = 2.0 * np.sin(0.4 * i)
+        mask = np.zeros((H, W), np.uint8)
+        centre = (round(64 + sway), 52)
+        cv2.ellipse(mask, centre, (13, 32), 0, 0, 360, 1, -1)
+        arm = np.deg2rad(-80 + 60 * np.sin(0.3 * i))
+        hand = (round(centre[0] + 34 * np.cos(arm)), round(40 + 34 * np.sin(arm)))
+        cv2.line(mask, (centre[0], 40), hand, 1, 7)
+        moved = np.roll(cloth, round(sway), axis=1)
+        picture = np.where(mask[:, :, None] > 0, moved, wall) + rng.normal(0, NOISE, (H, W, 3))
+        pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
+        silhouettes.append(mask > 0)
+    return wall, np.array(pictures), np.array(silhouettes)
+
+
+def keys_in(silhouettes: np.ndarray) -> np.ndarray:
+    """The silhouettes of the key pictures: every second of 40 pictures is a sample."""
+    samples = silhouettes[::2]
+    return samples[keys_of(len(samples))]
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    return np.count_nonzero(a & b) / np.count_nonzero(a | b)
+
+
+def test_where_somebody_is_it_is_not_quiet() -> None:
+    _, pictures, silhouettes = recording()
+    keys = key_pictures(pictures)
+    somewhere, always = silhouettes.any(axis=0), silhouettes.all(axis=0)
+    assert keys.is_active[somewhere].mean() > 0.97
+    assert (
+        keys.is_active[~cv2.dilate(somewhere.astype(np.uint8), np.ones((15, 15))).astype(bool)].mean() < 0.01
+    )
+    assert not keys.is_quiet[cv2.erode(always.astype(np.uint8), np.ones((5, 5))) > 0].any()
+    assert len(keys.pictures) == len(keys_in(silhouettes))
+
+
+def test_he_is_cut_out_of_the_key_pictures() -> None:
+    _, pictures, silhouettes = recording()
+    region = cv2.dilate(silhouettes.any(axis=0).astype(np.uint8), np.ones((9, 9))) > 0
+    cuts = first_cuts(key_pictures(pictures), region)
+    for cut, truth in zip(cuts, keys_in(silhouettes), strict=True):
+        assert iou(cut, truth) > 0.85  # cut at half the size: an outline of 230 pixels about 2,900
+
+
+def test_the_background_behind_him_is_learnt_as_far_as_it_was_seen() -> None:
+    wall, pictures, silhouettes = recording()
+    background = background_of_recording(pictures, list(keys_in(silhouettes)))
+    assert background.kind == "recording"
+    assert background.covered is not None
+    np.testing.assert_array_equal(background.covered, keys_in(silhouettes).all(axis=0))
+    off = np.abs(background.mean + 0.5 - wall).max(axis=2)
+    assert off[~background.covered].max() < 5 * NOISE
+    segmenter, lost = Segmenter(background), Segmenter(median_background(pictures))
+    for picture, truth in zip(pictures, silhouettes, strict=True):
+        assert iou(segmenter.segment(picture).mask, truth) > 0.9
+        assert iou(lost.segment(picture).mask, truth) < 0.6
+
+
+def test_changes_of_the_light_as_a_whole_are_no_unrest() -> None:
+    _, pictures, silhouettes = recording()
+    flicker = 1 + 0.1 * np.sin(np.arange(N))
+    lit = np.clip(pictures * flicker[:, None, None, None], 0, 255).astype(np.uint8)
+    away = ~cv2.dilate(silhouettes.any(axis=0).astype(np.uint8), np.ones((15, 15))).astype(bool)
+    assert key_pictures(lit).is_active[away].mean() < 0.01
+
+
+def test_every_key_picture_needs_its_cut() -> None:
+    _, pictures, silhouettes = recording()
+    with pytest.raises(ValueError, match="cuts"):
+        background_of_recording(pictures, list(keys_in(silhouettes))[1:])

@@ -1,0 +1,85 @@
+"""Backgrounds of a session without clips of the empty scene."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_session import CAMERAS, SIZE, copy_session, small_session
+
+from mocap.errors import MocapError
+from mocap.foreground import Background, Segmenter
+from mocap.io.session import Session, open_session
+from mocap.io.video import iter_clip
+from mocap.pipeline.backgrounds import learn_backgrounds
+from mocap.pipeline.config import SegmentationConfig
+
+MIN_IOU = 0.8  # a walker of 1,500 pixels whose steps overlap in twelve frames; 0.88 with an empty clip
+CONFIG = SegmentationConfig()
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.getbasetemp()
+    copied = copy_session(small_session(base), base / "without_background" / "session")
+    shutil.rmtree(copied / "background")
+    return copied
+
+
+def iou(session: Session, backgrounds: list[Background]) -> float:
+    hit = union = 0
+    for camera, background in zip(CAMERAS, backgrounds, strict=True):
+        packed = np.load(session.root / "truth" / "masks" / f"{camera}.npz")["masks"]
+        segmenter = Segmenter(background)
+        for picture, truth in zip(iter_clip(session.image_sources[camera]), packed, strict=True):
+            mask, own = segmenter.segment(picture).mask, np.unpackbits(truth, axis=1, count=SIZE[0]) > 0
+            hit += np.count_nonzero(mask & own)
+            union += np.count_nonzero(mask | own)
+    return hit / union
+
+
+def test_the_recording_is_its_own_background(root: Path) -> None:
+    session, warnings = open_session(root), list[str]()
+    backgrounds = learn_backgrounds(session, CONFIG, warnings)
+    assert [b.kind for b in backgrounds] == ["recording"] * len(CAMERAS)
+    assert any("learnt from the recording itself" in w for w in warnings)
+    assert iou(session, backgrounds) > MIN_IOU
+
+
+def test_cameras_with_a_clip_keep_it(root: Path, tmp_path: Path) -> None:
+    with_one = tmp_path / "session"
+    shutil.copytree(root, with_one)
+    original = small_session(root.parents[1]) / "background"
+    (with_one / "background").mkdir()
+    clip = next(original.glob(f"{CAMERAS[1]}*"))
+    (shutil.copytree if clip.is_dir() else shutil.copy)(clip, with_one / "background" / clip.name)
+    warnings: list[str] = []
+    backgrounds = learn_backgrounds(open_session(with_one), CONFIG, warnings)
+    assert [b.kind for b in backgrounds] == ["recording", "clip", "recording", "recording"]
+    assert CAMERAS[1] not in next(w for w in warnings if "learnt from the recording" in w)
+
+
+def test_too_few_frames_are_refused(root: Path) -> None:
+    session = open_session(root, frames=(0, 2))
+    with pytest.raises(MocapError, match="no background to learn from"):
+        learn_backgrounds(session, CONFIG, [])
+
+
+def test_somebody_who_never_moves_is_said(root: Path, tmp_path: Path) -> None:
+    """Every camera repeats one picture."""
+    still = tmp_path / "session"
+    shutil.copytree(root, still)
+    for camera in CAMERAS:
+        source = next((still / "videos").glob(f"{camera}.*"))
+        picture = next(iter_clip(source))
+        source.unlink()
+        folder = still / "images" / camera
+        folder.mkdir(parents=True)
+        for frame in range(5):
+            assert cv2.imwrite(str(folder / f"{frame}.png"), picture[:, :, ::-1])
+    warnings: list[str] = []
+    learn_backgrounds(open_session(still), CONFIG, warnings)
+    assert any("nobody moves in this recording" in w for w in warnings)
