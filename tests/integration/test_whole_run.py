@@ -448,7 +448,7 @@ def test_without_background_says_so(session: Path, tmp_path: Path) -> None:
     bare = copy_session(session, tmp_path / "session")
     shutil.rmtree(bare / "background")
     result = run_session(bare, tmp_path / "out", config=plain_config(), until="segment")
-    assert any("temporal median" in w and "background/" in w for w in result.warnings)
+    assert any("learnt from the recording itself" in w and "background/" in w for w in result.warnings)
     with pytest.raises(MocapError, match="no background to learn from") as caught:
         run_session(bare, tmp_path / "one", config=plain_config(), frames=(0, 1))
     assert "masks/" in caught.value.remedy
