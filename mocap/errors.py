@@ -49,6 +49,11 @@ class MocapError(Exception):
         return text
 
 
+def install_command(extra: str = "") -> str:
+    """What installs an extra, or everything that the package cannot do without in its newest version."""
+    return f'pip install "{DISTRIBUTION}[{extra}]"' if extra else f"pip install --upgrade {DISTRIBUTION}"
+
+
 class MissingExtra(MocapError):
     """An optional package is not installed.
 
@@ -59,7 +64,7 @@ class MissingExtra(MocapError):
     def __init__(
         self, message: str, extra: str, *, otherwise: str = "", path: Path | str | None = None
     ) -> None:
-        remedy = f'pip install "{DISTRIBUTION}[{extra}]"'
+        remedy = install_command(extra)
         super().__init__(message, remedy=f"{remedy}, or {otherwise}" if otherwise else remedy, path=path)
 
 

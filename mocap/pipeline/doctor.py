@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from mocap.data import Camera, VoxelGrid
-from mocap.errors import DISTRIBUTION, MocapError
+from mocap.errors import DISTRIBUTION, MocapError, install_command
 from mocap.io.store import StageStore
 from mocap.pipeline.record import versions
 from mocap.pipeline.warm_up import small_rig
@@ -69,11 +69,11 @@ def _versions() -> Iterator[Finding]:
         try:
             have = version(name)
         except PackageNotFoundError:
-            yield Finding(name, "wrong", f"is not installed. Remedy: pip install {DISTRIBUTION}")
+            yield Finding(name, "wrong", f"is not installed. Remedy: {install_command()}")
             continue
         if least and _numbers(have) < _numbers(least):
             yield Finding(
-                name, "wrong", f"is {have}, at least {least} is needed. Remedy: pip install -U {name}"
+                name, "wrong", f"is {have}, at least {least} is needed. Remedy: {install_command()}"
             )
 
 
@@ -110,8 +110,7 @@ def _threads() -> Finding:
 def _extras() -> Iterator[Finding]:
     for extra, (module, use) in _EXTRAS.items():
         if find_spec(module) is None:
-            remedy = f'pip install "{DISTRIBUTION}[{extra}]"'
-            yield Finding(f"extra {extra}", "missing", f"{use} need it. Remedy: {remedy}")
+            yield Finding(f"extra {extra}", "missing", f"{use} need it. Remedy: {install_command(extra)}")
         else:
             yield Finding(f"extra {extra}", "ok", use)
 

@@ -48,7 +48,7 @@ _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
 _MIN_NEEDING = 3  # cameras whose foreground nothing surer explains; the rays of two cross in many places
 # Share of a mask outside the silhouette of a hull that allows most cameras to be wrong. Healthy masks have hardly any.
-_ASTRAY_SHARE = 0.3
+_ASTRAY_SHARE = 0.2
 
 
 class OccluderLearner:

@@ -216,11 +216,11 @@ def test_a_signal_ends_with_a_message_and_without_litter(session: Path, tmp_path
     out = tmp_path / "out"
     # More frames than can be done before the signal comes.
     code = (
-        "import signal, sys, time\nfrom mocap.pipeline import stage\nreal = stage._append\n"
+        "import signal, sys, time\nfrom mocap.pipeline.walk import Recorder\nreal = Recorder._write\n"
         # A shell that starts the tests in the background ignores some signals for them.
         "for name in ('SIGINT', 'SIGTERM', 'SIGHUP'):\n    signal.signal(getattr(signal, name), signal.SIG_DFL)\n"
-        "def slow(out, rows):\n    time.sleep(0.5)\n    real(out, rows)\n"
-        "stage._append = slow\nfrom mocap.cli import main\nmain()\n"
+        "def slow(self, rows):\n    time.sleep(0.5)\n    real(self, rows)\n"
+        "Recorder._write = slow\nfrom mocap.cli import main\nmain()\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(library.__file__).parents[1])}
     command = [sys.executable, "-c", code, "run", str(session), "-o", str(out), "--until", "segment"]

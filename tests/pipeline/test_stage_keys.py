@@ -224,7 +224,8 @@ def test_no_module_takes_a_name_that_its_package_looks_up_when_it_is_used() -> N
 
 
 ROOMS = {
-    "segment": ("foreground", ("likelihood", "tracking", "volume", "body", "filters", "view", "cli")),
+    # A scene that is learnt from the recording itself has the volume as its witness.
+    "segment": ("foreground", ("likelihood", "tracking", "body", "filters", "view", "cli")),
     "detect": ("foreground", ("likelihood", "tracking", "volume", "body", "filters", "view", "cli")),
     "occluders": ("volume", ("tracking", "body", "filters", "view", "cli")),
     "carve": ("volume", ("tracking", "body", "filters", "view", "cli")),

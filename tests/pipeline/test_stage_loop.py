@@ -160,4 +160,4 @@ def test_a_chain_is_in_order_and_complete(kind: str) -> None:
     lengths = [len(stages_until(kind, word)) for word in UNTIL]
     assert lengths == sorted(lengths)
     assert stages_until(kind, "report") == CHAINS[kind]
-    assert lengths[0] == 1
+    assert lengths[0] >= 1

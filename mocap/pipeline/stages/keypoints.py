@@ -83,7 +83,7 @@ def keypoint_report(job: Job) -> StageReport:
 
 KEYPOINTS_STAGE = Stage(
     name="keypoints",
-    until="track",
+    until="segment",
     products=(PRODUCT,),
     work=ClipWork(keypoint_stage),
     report=keypoint_report,
