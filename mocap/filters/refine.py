@@ -74,8 +74,11 @@ def refine(problem: ResidualProblem, state: Array, settings: RefineSettings) -> 
         free = ~(((x <= layout.lower) & (g > 0)) | ((x >= layout.upper) & (g < 0)))
         A = H.copy()
         A[diagonal, diagonal] += damping * A[diagonal, diagonal]
-        step = np.zeros_like(x)
-        step[free] = -np.linalg.solve(A[free][:, free], g[free])
+        if free.all():
+            step = -np.linalg.solve(A, g)
+        else:
+            step = np.zeros_like(x)
+            step[free] = -np.linalg.solve(A[free][:, free], g[free])
         candidate = np.clip(x + step, layout.lower, layout.upper)
         new_cost, new_H, new_g = evaluate(candidate)
         if new_cost < cost:

@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mocap.body._kernels import Chain, chain_axes
+
 _SLIP_ROUNDS = 4
 
 
@@ -46,6 +48,29 @@ class Movement(NamedTuple):
     dof_joint: NDArray[np.int64]
     dof_column: NDArray[np.int64]
     moves: NDArray[np.bool_]
+
+
+class MarkedBody(NamedTuple):
+    """A body with markers.  chain : of `chain_axes`.  moves : (J, n_dofs) bool, which rotations move which joint
+    frame.  joint : (M,).  offset : (M, 3) m.  slack_m : (M,)."""
+
+    chain: Chain
+    moves: NDArray[np.bool_]
+    joint: NDArray[np.int64]
+    offset: NDArray[np.float64]
+    slack_m: NDArray[np.float64]
+
+
+class MatchedViews(NamedTuple):
+    """Pictures whose detections are given to markers.  P : (C, 3, 4).  lower, upper : (C, 2) px, of the pictures.
+    uv : (Q, 2) px.  chosen : (M, C) rows of uv, -1 = none.  in_view : (M, C) bool."""
+
+    P: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    uv: NDArray[np.float64]
+    chosen: NDArray[np.int64]
+    in_view: NDArray[np.bool_]
 
 
 @njit(cache=True, nogil=True)
@@ -375,3 +400,37 @@ def add_pulls(points, joint, information, gradient, movement, H, g):
             w2 = A[2, 0] * V[a, 0] + A[2, 1] * V[a, 1] + A[2, 2] * V[a, 2]
             for e in range(k):
                 H[columns[a], columns[e]] += V[e, 0] * w0 + V[e, 1] * w1 + V[e, 2] * w2
+
+
+@njit(cache=True, nogil=True)
+def matched_equations(state, body, views, noise, H, g):
+    """Add the robust cost's matrix (D, D) and gradient (D,) at a state (D,) to H and g; returns the cost.
+
+    body : MarkedBody.  views : MatchedViews.  noise : RobustNoise.
+    """
+    n_markers, n_views = views.chosen.shape
+    n_joints, n_dofs = body.moves.shape
+    R, t, axes = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3)), np.empty((n_dofs, 3))
+    chain_axes(state, body.chain, R, t, axes)
+    points = np.empty((n_markers, 3))
+    for m in range(n_markers):
+        j = body.joint[m]
+        for r in range(3):
+            points[m, r] = (
+                R[j, r, 0] * body.offset[m, 0]
+                + R[j, r, 1] * body.offset[m, 1]
+                + R[j, r, 2] * body.offset[m, 2]
+            ) + t[j, r]
+    projected, depth = np.empty((n_markers, n_views, 2)), np.empty((n_markers, n_views))
+    in_view = np.empty((n_markers, n_views), np.bool_)
+    project_markers(points, views.P, views.lower, views.upper, projected, depth, in_view)
+    # A fixed set of views: a marker must not gain by leaving the picture.
+    for m in range(n_markers):
+        for c in range(n_views):
+            in_view[m, c] = views.in_view[m, c] and depth[m, c] > 1e-6
+    information, gradient = np.empty((n_markers, 3, 3)), np.empty((n_markers, 3))
+    seen = Projected(projected, depth, in_view)
+    cost = marker_pulls(views.P, seen, views.uv, views.chosen, body.slack_m, noise, information, gradient)
+    movement = Movement(t, axes, body.chain.dof_joint, body.chain.dof_column, body.moves)
+    add_pulls(points, body.joint, information, gradient, movement, H, g)
+    return cost

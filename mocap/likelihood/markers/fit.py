@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,15 @@ from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.likelihood.markers._fit_kernels import (
     Belief,
+    MarkedBody,
+    MatchedViews,
     Movement,
     Projected,
     RobustNoise,
     add_pulls,
     agreeing_detections,
     marker_pulls,
+    matched_equations,
     nearest_detections,
     project_markers,
 )
@@ -122,9 +126,26 @@ class MarkerFitProblem:
         """How far from its projection a marker's detection may be, (M, C) px."""
         return self.settings.reach_m * self.observation.views.focal / np.maximum(seen.depth, 1e-3)
 
+    @property
+    def _noise(self) -> RobustNoise:
+        return RobustNoise(self.settings.noise_px, self.settings.scale)
+
+    @cached_property
+    def _matched(self) -> tuple[MarkedBody, MatchedViews] | None:
+        """Body and pictures as kernels take them, where the detections are given to markers."""
+        if self.matches is None:
+            return None
+        body, markers, views = self.body, self.markers, self.observation.views
+        marked = MarkedBody(body.chain, body.moves, markers.joint, markers.offset, self.slack_m)
+        matches = self.matches
+        seen = MatchedViews(
+            views.P, views.lower, views.upper, self.observation.uv, matches.chosen, matches.in_view
+        )
+        return marked, seen
+
     def pulls(self, points: Array) -> tuple[float, Array, Array]:
         """Robust cost of markers at points (M, 3) m, world, its matrix (M, 3, 3) and its gradient (M, 3) there."""
-        observation, settings = self.observation, self.settings
+        observation = self.observation
         seen = self._project(points)
         if self.matches is not None:
             # A fixed set of views: a marker must not gain by leaving the picture.
@@ -134,9 +155,8 @@ class MarkerFitProblem:
             chosen = np.empty(seen.depth.shape, dtype=np.int64)
             nearest_detections(seen.uv, seen.in_view, *observation.detections, self._gate(seen), chosen)
         information, gradient = np.empty((len(points), 3, 3)), np.empty((len(points), 3))
-        noise = RobustNoise(settings.noise_px, settings.scale)
         P, uv, slack = observation.views.P, observation.uv, self.slack_m
-        cost = marker_pulls(P, seen, uv, chosen, slack, noise, information, gradient)
+        cost = marker_pulls(P, seen, uv, chosen, slack, self._noise, information, gradient)
         return float(cost), information, gradient
 
     def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
@@ -147,6 +167,10 @@ class MarkerFitProblem:
         body = self.body
         D, J = body.layout.n_columns, len(body.joints)
         H, g = np.zeros((D, D)), np.zeros(D)
+        if self._matched is not None:
+            # One call of compiled code: a refinement comes here a dozen times.
+            x = np.ascontiguousarray(state, dtype=np.float64)
+            return float(matched_equations(x, *self._matched, self._noise, H, g)), H, g
         R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
         chain_axes(np.ascontiguousarray(state, dtype=np.float64), body.chain, R, t, axes)
         joint = self.markers.joint
