@@ -28,6 +28,7 @@ _LIGHT_STEPS_PX = (16, 6)
 _LIGHT_EVERY = 4  # pictures; as long as the light is uneven, every picture is looked at
 _UNEVEN = 0.04
 _UNEVEN_SHARE = 0.3
+_MOST_LEFT = 0.2  # of the picture differs when the light is divided out: persons; else it was not the light
 _JUMP = 0.15  # from cell to cell: the outline of a person, whose cells say nothing about the light
 _SEARCH_ROWS = 4  # one row in four is searched for differences
 _SEARCH_LEAST = 3  # differing values in the searched rows of a cell that make it worth a closer look
@@ -268,14 +269,25 @@ class Segmenter:
             return rows
         if (field := self._light_field(rows, float(gain.mean()))) is not None:
             light = np.clip(field[:, :, None] * (gain / gain.mean()).astype(np.float32), 0.4, 2.5)
-            even = rows.reshape(self.shape) / light
-            return np.clip(np.round(even), 0, 255).astype(np.uint8).reshape(rows.shape)
+            even = np.clip(np.round(rows.reshape(self.shape) / light), 0, 255).astype(np.uint8)
+            if self._share_that_differs(even, step) < _MOST_LEFT:
+                return even.reshape(rows.shape)
+            self._is_uneven = False  # no light explains it: another place, another camera
         if np.abs(gain - 1).max() < 0.004:
             return rows
         factor = np.tile(np.round(65536 / np.clip(gain, 0.5, 2.0)).astype(np.int64), self.shape[1])
         out = np.empty_like(rows)
         _kernels.scale_rows(rows, self._background, factor, out)
         return out
+
+    def _share_that_differs(self, picture: Image, step: int) -> float:
+        """Share of the looked-at pixels, every `step`-th each way, that are not the background's."""
+        some = (slice(None, None, step), slice(None, None, step))
+        difference = cv2.absdiff(
+            np.ascontiguousarray(picture[some]),
+            np.ascontiguousarray(self._background.reshape(self.shape)[some]),
+        )
+        return float((difference.max(axis=2) > self._threshold[some]).mean())
 
     def _light_field(self, rows: Bytes, gain: float) -> NDArray[np.float32] | None:
         """The light relative to the background, (H, W), where it has changed unevenly; None where it has not."""
