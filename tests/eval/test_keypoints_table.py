@@ -52,7 +52,7 @@ def test_landmarks_that_no_tool_names_are_midpoints() -> None:
 
 def test_triangulation_needs_no_seeds() -> None:
     if not DEV.is_dir():
-        pytest.skip("the development sessions are not there")
+        pytest.skip("no ../shared/dev_sessions beside the project")
     wanted = list(cases(["room"], [2, 7], ["triangulation", "keypoints"], 3))
     assert {c.cameras for c in wanted} == {2, 5}
     assert [c.seed for c in wanted if c.method == "triangulation"] == [0, 0]
