@@ -23,12 +23,14 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,20 +231,21 @@ def exact(model: Model) -> tuple[Array, Array]:
 
 def of_filterpy(model: Model, n: int, seed: int) -> Tracked:
     """The plain filter as filterpy's book has it, with its systematic resampling."""
-    from filterpy.monte_carlo import systematic_resample
+    from filterpy.monte_carlo import resampling
 
-    np.random.seed(seed)  # noqa: NPY002  (filterpy draws from the global generator)
     rng = np.random.default_rng(seed)
     particles, weights = np.tile(model.start, (n, 1)), np.full(n, 1.0 / n)
     found = []
     begun = time.perf_counter()
-    for frame in range(len(model.z)):
-        problem = model.at(frame)
-        particles = problem.propagate(particles[systematic_resample(weights)], model.std, rng=rng)
-        log_weights = problem.log_likelihood(particles).sum(axis=1)
-        weights = np.exp(log_weights - log_weights.max())
-        weights /= weights.sum()
-        found.append(_moments(particles, weights))
+    with mock.patch.object(resampling, "random", np.random.RandomState(seed).random):
+        for frame in range(len(model.z)):
+            problem = model.at(frame)
+            drawn = resampling.systematic_resample(weights)
+            particles = problem.propagate(particles[drawn], model.std, rng=rng)
+            log_weights = problem.log_likelihood(particles).sum(axis=1)
+            weights = np.exp(log_weights - log_weights.max())
+            weights /= weights.sum()
+            found.append(_moments(particles, weights))
     seconds = time.perf_counter() - begun
     mean, variance = (np.array(v) for v in zip(*found, strict=True))
     return Tracked(mean, variance, n, seconds)
@@ -270,6 +273,22 @@ def of_filterpy_unscented(model: Model, n: int, seed: int) -> Tracked:
     seconds = time.perf_counter() - begun
     mean, variance = (np.array(v) for v in zip(*found, strict=True))
     return Tracked(mean, variance, 2 * D + 1, seconds)
+
+
+@contextmanager
+def _particles_draws_from(state: np.random.RandomState) -> Iterator[None]:
+    """`particles` with a generator of its own; by itself it draws from numpy's global one, its Gaussians through
+    scipy."""
+    from particles import resampling
+    from scipy import stats
+
+    before = stats.norm.random_state
+    stats.norm.random_state = state
+    try:
+        with mock.patch.object(resampling, "random", state):
+            yield
+    finally:
+        stats.norm.random_state = before
 
 
 def of_particles(*, is_guided: bool) -> Run:
@@ -302,7 +321,6 @@ def of_particles(*, is_guided: bool) -> Run:
                 return normal(loc=pull @ posterior, cov=posterior)
 
         kind = state_space_models.GuidedPF if is_guided else state_space_models.Bootstrap
-        np.random.seed(seed)  # noqa: NPY002  (particles draws from the global generator)
         filter_ = particles.SMC(
             fk=kind(ssm=Series(), data=model.z),
             N=n,
@@ -311,7 +329,8 @@ def of_particles(*, is_guided: bool) -> Run:
             collect=[collectors.Moments()],
         )
         begun = time.perf_counter()
-        filter_.run()
+        with _particles_draws_from(np.random.RandomState(seed)):
+            filter_.run()
         seconds = time.perf_counter() - begun
         moments = filter_.summaries.moments
         mean, variance = (np.array([m[k] for m in moments]) for k in ("mean", "var"))

@@ -97,3 +97,18 @@ def test_every_installed_library_solves_the_problems(problem: str, monkeypatch: 
             assert row["error"] < 8.0, row
         assert row["evaluations_per_s"] > 0
     assert sum("| mocap | sir |" in line for line in table(rows)) == 1
+
+
+@pytest.mark.parametrize(
+    "library", ["filterpy", pytest.param("particles", marks=pytest.mark.filterwarnings("ignore"))]
+)
+def test_other_libraries_draw_from_the_seed_and_leave_the_global_generator_alone(library: str) -> None:
+    if not find_spec(library):
+        pytest.skip(f"{library} is not installed")
+    model = arms(3, n_frames=4)
+    run = next(run for of, _, run in methods("arms") if of == library)
+    before = np.random.get_state()[1].copy()  # noqa: NPY002  (what must not change)
+    first, again, other = run(model, 50, 0), run(model, 50, 0), run(model, 50, 1)
+    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+    np.testing.assert_array_equal(first.mean, again.mean)
+    assert (first.mean != other.mean).any()
