@@ -80,7 +80,7 @@ def export(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
     what: Annotated[str, typer.Option("--what", help="voxels or motion.")] = "voxels",
     format: Annotated[
-        str | None, typer.Option("--format", help="voxels: ply, npz, glb; motion: bvh, trc, c3d, glb.")
+        str | None, typer.Option("--format", help="voxels: ply, npz, glb; motion: bvh, trc, c3d, glb, mot.")
     ] = None,
     frames: FramesOption = None,
     cubes: Annotated[

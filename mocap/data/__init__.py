@@ -1,5 +1,6 @@
 """Frozen containers that every stage speaks."""
 
+from mocap.data.angles import AngleSeries
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.hierarchy import Hierarchy, Level, Limb
 from mocap.data.motion import BONES, LANDMARKS, Motion, Tracks
@@ -12,6 +13,7 @@ from mocap.data.voxels import Hull, VoxelGrid
 __all__ = [
     "BONES",
     "LANDMARKS",
+    "AngleSeries",
     "ArticulatedProblem",
     "Camera",
     "CameraRig",

@@ -230,11 +230,12 @@ class MarkersConfig(_Section):
 class OutputConfig(_Section):
     """What is written beside the CSV files."""
 
-    formats: tuple[Literal["bvh", "trc", "c3d", "glb", "rrd", "report"], ...] = (
+    formats: tuple[Literal["bvh", "trc", "c3d", "glb", "mot", "rrd", "report"], ...] = (
         "bvh",
         "trc",
         "c3d",
         "glb",
+        "mot",
         "rrd",
         "report",
     )

@@ -16,6 +16,7 @@ from mocap.io._files import writing
 from mocap.io.formats import BoneNames, voxels
 from mocap.io.store import StageStore
 from mocap.pipeline.outputs import motion_writers
+from mocap.pose.method import AngleSettings
 from mocap.pose.result import PersonPoses, motion_of
 from mocap.products import poses as poses_product
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
@@ -28,7 +29,7 @@ Frames = tuple[int | None, int | None]
 # What can be exported -> formats, the first by default.
 EXPORTS: dict[str, tuple[str, ...]] = {
     "voxels": ("ply", "npz", "glb"),
-    "motion": ("bvh", "trc", "c3d", "glb"),
+    "motion": ("bvh", "trc", "c3d", "glb", "mot"),
 }
 
 
@@ -124,8 +125,13 @@ def _write_person(
     """One person in the frames to keep, (T,)."""
     motion = motion_of(poses, fps)
     kept = Motion(motion.person, motion.frames[keep], motion.time_s[keep], motion.landmarks[keep])
-    shown = replace(poses, frames=poses.frames[keep], states=poses.states[keep])
-    motion_writers(shown, kept, fps, bone_names)[format](path)
+    shown = replace(
+        poses,
+        frames=poses.frames[keep],
+        states=poses.states[keep],
+        landmark_covariance=poses.landmark_covariance[keep],
+    )
+    motion_writers(shown, kept, fps, bone_names, AngleSettings())[format](path)
 
 
 def _is_in(frame: int, frames: Frames | None) -> bool:

@@ -11,21 +11,25 @@ from typing import Any
 import numpy as np
 
 from mocap.body import body_skin, skeleton_of
-from mocap.data import Motion
+from mocap.data import AngleSeries, Motion
 from mocap.errors import MissingExtra, MocapError
 from mocap.io._files import atomic_text, writing
-from mocap.io.formats import BoneNames, renamed, write_bvh, write_c3d, write_glb, write_trc
+from mocap.io.angle_table import write_angles_csv
+from mocap.io.formats import BoneNames, renamed, write_bvh, write_c3d, write_glb, write_mot, write_trc
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
 from mocap.pipeline.config import Config
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import write_scene
 from mocap.pipeline.tracking import every_frame
+from mocap.pose.angles import angles_of
+from mocap.pose.method import AngleSettings
+from mocap.pose.opensim import opensim_coordinates
 from mocap.pose.result import PersonPoses
 from mocap.products.poses import body_files
 from mocap.progress import Progress
 
 
-def write_tables(found: Found, folder: Path, *, has_poses: bool) -> None:
+def write_tables(found: Found, config: Config, folder: Path, *, has_poses: bool) -> None:
     """Write into `folder` the tables of what was found, empty where nobody was, and the persons' body files.
 
     has_poses : the run came as far as the poses.
@@ -35,9 +39,15 @@ def write_tables(found: Found, folder: Path, *, has_poses: bool) -> None:
     if not has_poses:
         return
     write_landmarks_csv(folder / "landmarks.csv", found.motions)
+    write_angles_csv(folder / "angles.csv", angles_of_run(found, config))
     write_pose_npz(folder / "pose.npz", found.poses)
     for name, text in body_files(found.store, found.poses).items():
         atomic_text(folder / name, text)
+
+
+def angles_of_run(found: Found, config: Config) -> list[AngleSeries]:
+    """The anatomical angles of every person."""
+    return [angles_of(p, found.session.fps, config.method.angles) for p in found.poses]
 
 
 def write_exports(found: Found, config: Config, folder: Path, *, progress: Progress) -> list[str]:
@@ -47,7 +57,9 @@ def write_exports(found: Found, config: Config, folder: Path, *, progress: Progr
     for poses, motion in zip(found.poses, found.motions, strict=True):
         steps += [
             (folder / f"person_{poses.person}.{name}", write)
-            for name, write in motion_writers(poses, motion, fps, config.output.bone_names).items()
+            for name, write in motion_writers(
+                poses, motion, fps, config.output.bone_names, config.method.angles
+            ).items()
             if name in formats
         ]
     if "rrd" in formats:
@@ -61,7 +73,11 @@ def write_exports(found: Found, config: Config, folder: Path, *, progress: Progr
 
 
 def motion_writers(
-    poses: PersonPoses, motion: Motion, fps: float, bone_names: BoneNames
+    poses: PersonPoses,
+    motion: Motion,
+    fps: float,
+    bone_names: BoneNames,
+    angles: AngleSettings,
 ) -> dict[str, Callable[[Path], None]]:
     """What writes one person into a file, by the file's suffix."""
     skeleton = renamed(
@@ -72,6 +88,7 @@ def motion_writers(
         "glb": lambda path: write_glb(path, skeleton, fps, body_skin(poses.body)),
         "trc": partial(write_trc, motion=motion, fps=fps),
         "c3d": partial(write_c3d, motion=motion, fps=fps),
+        "mot": lambda path: write_mot(path, motion.time_s, opensim_coordinates(poses, angles)),
     }
 
 

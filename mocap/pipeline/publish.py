@@ -18,7 +18,7 @@ _UNPUBLISHED = ".outputs.partial"
 RUN_FILE = "run.json"
 # Every name that a run, or a command on a finished run, gives a file in its output folder.
 _OUTPUT = re.compile(
-    r"run\.json|tracks\.csv|landmarks\.csv|pose\.npz|scores\.json|body(_\d+)?\.toml|person_\d+\.(bvh|trc|c3d|glb)|"
+    r"run\.json|tracks\.csv|landmarks\.csv|angles\.csv|pose\.npz|scores\.json|body(_\d+)?\.toml|person_\d+\.(bvh|trc|c3d|glb|mot)|"
     r"scene\.rrd|report\.html"
 )
 

@@ -15,6 +15,7 @@ OUTPUT_WORDS = {
     "run.json": "configuration, versions, seed, timings and warnings of this run",
     "tracks.csv": "where every person is in every frame, how certain that is, and whether he was seen",
     "landmarks.csv": "15 landmarks per person and frame, with standard deviations, metres",
+    "angles.csv": "anatomical angles per person and frame, with standard deviations, degrees",
     "pose.npz": "joint angles, root, landmark covariances",
     "body.toml": "the person's body as sized, for `body.model` of another run (body_1.toml and so on of several)",
     "scene.rrd": "cameras, images, voxels and bodies on a time line, for the Rerun viewer",
@@ -22,6 +23,7 @@ OUTPUT_WORDS = {
     ".bvh": "animated skeleton for animation tools (y up, centimetres)",
     ".trc": "landmark trajectories for biomechanics tools (y up, metres)",
     ".c3d": "landmark trajectories for biomechanics tools (z up, millimetres)",
+    ".mot": "joint angles for OpenSim (degrees, metres)",
     ".glb": "animated person with armature and skin (y up, metres)",
 }
 

@@ -154,7 +154,7 @@ def _publish(
     is_whole = until == OUTPUTS
     started = time.perf_counter()
     with part(OUTPUTS), published(out) as folder:
-        write_tables(found, folder, has_poses=until in _WITH_POSES)
+        write_tables(found, job.config, folder, has_poses=until in _WITH_POSES)
         left_out = write_exports(found, job.config, folder, progress=job.progress) if is_whole else []
         record = _record(job, found, steps, until=until, command=command, scores=scores)
         record = _warning(record, [*unscored, *left_out])

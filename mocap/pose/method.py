@@ -319,6 +319,52 @@ class DeviationSettings(_Strict):
     """By how much any landmark may be off, per metre by which lines of sight miss each other where cameras disagree."""
 
 
+# Standard deviation, degrees, of an anatomical angle whose landmarks are all in place: what bodies differ in; and how
+# much of the deviation that follows from the landmarks' counts: errors of neighbours are alike, and do not turn a
+# segment. Fitted on development scenes by `python -m eval.angles --fit`, and printed there.
+ANGLE_UNCERTAINTY: Mapping[str, tuple[float, float]] = {
+    "pelvis_rotation": (2.0, 0.6),
+    "pelvis_obliquity": (1.0, 0.6),
+    "pelvis_tilt": (2.5, 0.6),
+    "trunk_flexion": (2.0, 0.2),
+    "trunk_bending": (2.0, 0.2),
+    "trunk_rotation": (5.0, 0.0),
+    "neck_flexion": (1.0, 0.7),
+    "neck_bending": (3.0, 1.0),
+    "hip_flexion": (4.0, 0.1),
+    "hip_adduction": (3.0, 0.5),
+    "hip_rotation": (7.0, 0.5),
+    "knee_flexion": (2.0, 0.2),
+    "shoulder_flexion": (5.5, 0.0),
+    "shoulder_adduction": (4.0, 0.4),
+    "shoulder_rotation": (12.0, 0.1),
+    "shoulder_plane": (11.0, 0.7),
+    "shoulder_elevation": (2.5, 0.0),
+    "shoulder_axial_rotation": (2.0, 0.9),
+    "elbow_flexion": (0.5, 0.5),
+}
+
+
+@dataclass(frozen=True)
+class AngleSettings(_Strict):
+    """How far off an anatomical angle may be."""
+
+    of_angle: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(ANGLE_UNCERTAINTY))
+    """Kind of angle -> standard deviation where all its landmarks are in place, degrees, and the factor on what follows
+    from the landmarks' deviations."""
+    of_others: tuple[float, float] = (5.0, 1.0)
+    """The same of an angle that is not listed."""
+    weak_std_rad: float = 0.7
+    """What is known of a joint without landmarks."""
+    spine_share: float = 1.0
+    """What the lumbar spine takes of a bend of the trunk, as a share of what the pelvis takes: equal parts over a whole
+    bend (Esola et al. 1996)."""
+    spine_std_deg: float = 10.0
+    """How far the lumbar spine usually is from that."""
+    bend_deg: float = 20.0
+    """A knee or elbow bent by less does not show how the limb above it is turned about its own length."""
+
+
 @dataclass(frozen=True)
 class MarkerStartSettings(_Strict):
     """The first pose from unlabelled marker detections: points on which the cameras agree, a body fitted to them."""
@@ -497,6 +543,7 @@ class Method(_Strict):
     size: SizeSettings = SizeSettings()
     smooth: SmoothSettings = SmoothSettings()
     deviation: DeviationSettings = field(default_factory=DeviationSettings)
+    angles: AngleSettings = field(default_factory=AngleSettings)
     marker_start: MarkerStartSettings = MarkerStartSettings()
     marker_fit: MarkerPoseSettings = MarkerPoseSettings()
     beam: BeamSettings = BeamSettings()

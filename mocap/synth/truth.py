@@ -14,7 +14,7 @@ from mocap.data import Camera, Motion, Tracks, VoxelGrid
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
 from mocap.progress import Progress
 from mocap.synth.body import Body, mesh_volume_and_centroid
-from mocap.synth.figure import JOINTS, forward_kinematics, landmarks_of
+from mocap.synth.figure import JOINTS, PARENTS, forward_kinematics, landmarks_of
 from mocap.synth.voxelise import solid_voxels
 from mocap.synth.world import World
 
@@ -110,6 +110,7 @@ def _write_poses(world: World, truth: Path, inside: NDArray[np.bool_]) -> None:
         np.savez_compressed(
             truth / f"pose_{actor.person}.npz",
             joints=np.array(JOINTS),
+            parents=PARENTS,
             offsets_m=actor.body.figure.offsets,
             root_position_m=actor.pose.root_position[kept],
             rotations=actor.pose.rotations[kept].astype(np.float32),

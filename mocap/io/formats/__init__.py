@@ -7,6 +7,7 @@ from mocap.io.formats.bone_names import BONE_NAMES, BoneNames, renamed
 from mocap.io.formats.bvh import write_bvh
 from mocap.io.formats.c3d import write_c3d
 from mocap.io.formats.gltf import write_glb
+from mocap.io.formats.mot import write_mot
 from mocap.io.formats.readers import read_poses
 from mocap.io.formats.table import PoseFile, PoseTable
 from mocap.io.formats.trc import write_trc
@@ -30,5 +31,6 @@ __all__ = [
     "write_bvh",
     "write_c3d",
     "write_glb",
+    "write_mot",
     "write_trc",
 ]
