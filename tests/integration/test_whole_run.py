@@ -79,10 +79,10 @@ def plain(masks_session: Path, tmp_path_factory: pytest.TempPathFactory) -> RunR
 
 def test_every_output_is_there(full: RunResult) -> None:
     names = {p.name for p in full.out.iterdir()}
-    exports = {f"person_1.{suffix}" for suffix in ("bvh", "trc", "c3d", "glb")}
+    exports = {f"person_1.{suffix}" for suffix in ("bvh", "trc", "c3d", "glb", "mot")}
     assert names == {
         *("run.json", "tracks.csv", "landmarks.csv", "pose.npz", "scene.rrd", "report.html", "store.zarr"),
-        "body.toml",
+        *("angles.csv", "body.toml"),
         *exports,
     }
     assert full.status == "complete"

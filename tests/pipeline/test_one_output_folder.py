@@ -97,7 +97,16 @@ def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None
     result = run_session(session, out, config=config("trc"), resume=True)
     assert result.reused == ("segment", "occluders", "carve", "track", "pose")
     assert names(out) == {
-        *("run.json", "tracks.csv", "landmarks.csv", "pose.npz", "body.toml", "person_1.trc", "store.zarr"),
+        *(
+            "run.json",
+            "tracks.csv",
+            "landmarks.csv",
+            "angles.csv",
+            "pose.npz",
+            "body.toml",
+            "person_1.trc",
+            "store.zarr",
+        ),
         "mine.txt",
     }
     assert result.record.removed == ("person_1.bvh", "report.html", "scores.json")
@@ -111,7 +120,7 @@ def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None
     [
         ("segment", {"run.json"}),
         ("track", {"run.json", "tracks.csv"}),
-        ("pose", {"run.json", "tracks.csv", "landmarks.csv", "pose.npz", "body.toml"}),
+        ("pose", {"run.json", "tracks.csv", "landmarks.csv", "angles.csv", "pose.npz", "body.toml"}),
     ],
 )
 def test_a_run_that_ends_earlier_leaves_what_it_wrote(
