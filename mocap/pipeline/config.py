@@ -42,6 +42,9 @@ class SegmentationConfig(_Section):
     """Frames, spread over the clip, that `median` looks at."""
     method: Literal["gaussian", "mog2", "knn"] = "gaussian"
     """Own running Gaussian with shadow test, or one of OpenCV's subtractors."""
+    second_look: bool = True
+    """With six cameras or more, give back to a person what one camera took for his shadow and the others see as him;
+    false = every camera on its own."""
     hold_s: float = Field(default=600.0, gt=0)
     """Seconds after which what never stops being foreground becomes background, such as a chair that was moved; longer
     than anybody sits still."""

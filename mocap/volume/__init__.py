@@ -15,6 +15,7 @@ from mocap.volume.consistency import ConsistencyMonitor, SilhouetteEvidence
 from mocap.volume.grid import choose_grid
 from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_cells, no_occluders
 from mocap.volume.residuals import SilhouetteResiduals, silhouette_residuals
+from mocap.volume.second_look import SecondLook
 from mocap.volume.surface import surface_map, surface_voxels
 from mocap.volume.witness import Witness
 
@@ -24,6 +25,7 @@ __all__ = [
     "CoarseVoxels",
     "ConsistencyMonitor",
     "OccluderLearner",
+    "SecondLook",
     "SilhouetteEvidence",
     "SilhouetteResiduals",
     "VoteVolume",

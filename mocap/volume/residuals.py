@@ -40,14 +40,17 @@ def reproject(hull: Hull, camera: Camera) -> Mask:
 
 def silhouette(camera: Camera, centers: Array, side_m: float) -> Mask:
     """Silhouette (H, W) bool of cubes around centers (N, 3) m: one square each, 1.2 sides wide."""
+    uv, depth = camera.project(centers) if len(centers) else (np.zeros((0, 2)), np.zeros(0))
+    return squares(camera, uv, depth, side_m)
+
+
+def squares(camera: Camera, uv: Array, depth: Array, side_m: float) -> Mask:
+    """Squares (H, W) bool, 1.2 sides wide, about pixels uv (N, 2) of cubes at depth (N,) m; NaN is skipped."""
     width, height = camera.size
     canvas = np.zeros((height, width), dtype=np.uint8)
-    if len(centers):
-        uv, depth = camera.project(centers)
-        focal = max(camera.K[0, 0], camera.K[1, 1])
-        half = 0.5 * FOOTPRINT * side_m * focal / np.maximum(depth, 1e-3)
-        _kernels.paint_boxes(uv, half, canvas)
-    return canvas.astype(np.bool_)
+    focal = max(camera.K[0, 0], camera.K[1, 1])
+    _kernels.paint_boxes(uv, 0.5 * FOOTPRINT * side_m * focal / np.maximum(depth, 1e-3), canvas)
+    return canvas.view(np.bool_)
 
 
 def silhouette_residuals(hull: Hull, masks: Sequence[Mask], rig: CameraRig) -> SilhouetteResiduals:

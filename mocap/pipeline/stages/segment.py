@@ -36,17 +36,25 @@ from mocap.pipeline.stage import (
     pictures_of,
 )
 from mocap.products.masks import PRODUCT, mask_row, masks_from_arrays
+from mocap.volume import SecondLook, choose_grid
+from mocap.volume.second_look import LEAST_CAMERAS
 
 _QUALITY_FRAMES = 40  # looked at closely for the quality of the masks
+# Voxels of the second look. IoU 0.938, 0.937, 0.937 with 2.5, 3 and 4 cm (furnished, every sixth of ten frames).
+_LOOK_VOXEL_M = 0.04
 
 
 @dataclass(frozen=True, eq=False)
 class _Segmenting:
-    """One segmenter per camera, which learn as they go; none where masks are taken over."""
+    """One segmenter per camera, which learn as they go; none where masks are taken over.
+
+    look : at all masks of a frame together; None = every camera on its own.
+    """
 
     segmenters: tuple[Segmenter, ...]
     warnings: tuple[str, ...]
     each: Callable[..., Iterable[Any]]
+    look: SecondLook | None = None
 
 
 def _reads(job: Job) -> Sources:
@@ -69,7 +77,21 @@ def _start(job: Job) -> _Segmenting:
         Segmenter(b, foreground, roi=region_of_interest(session, camera))
         for b, camera in zip(backgrounds, session.rig, strict=True)
     )
-    return _Segmenting(segmenters, tuple(warnings), job.each)
+    return _Segmenting(
+        segmenters, tuple(warnings), job.each, second_look(session) if settings.second_look else None
+    )
+
+
+def second_look(session: Session) -> SecondLook | None:
+    """A second look at the masks of a session; None where its cameras are too few or share no room."""
+    if len(session.rig) < LEAST_CAMERAS:
+        return None
+    try:
+        return SecondLook(
+            session.rig, choose_grid(session.rig, _LOOK_VOXEL_M, bounds_m=session.room_bounds_m)
+        )
+    except ValueError:
+        return None  # the stage that carves says why
 
 
 def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[Row]]:
@@ -82,6 +104,8 @@ def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[R
     usable = np.array([m.is_usable for m in found])
     shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
     masks = [m.mask for m in found]
+    if state.look is not None:
+        masks = state.look.masks(masks, [m.shadow for m in found])
     return state, replace(seen, masks=masks), [Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))]
 
 

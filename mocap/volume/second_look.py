@@ -1,0 +1,143 @@
+"""A second look at masks, all cameras together: what one camera took for shadow and the others see as a person.
+
+Dark trousers before a dark floor have the colour of the floor in shadow, and one picture cannot tell them apart. The
+other cameras can: a shadow lies on a surface that they see unoccupied, and they see it as dark as this one does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import Camera, CameraRig, VoxelGrid
+from mocap.volume.carve import Carver, pixels_of_points
+from mocap.volume.residuals import squares
+from mocap.volume.surface import surface_voxels
+
+Mask = NDArray[np.bool_]
+Array = NDArray[np.float64]
+
+# With five cameras hulls that forgive two of them are so fat that shadows fall inside (room: IoU 0.952 to 0.948).
+LEAST_CAMERAS = 6
+_BLIND = 1  # cameras that may see nothing at all where a person is: a table stands before them
+_FLOOR_M = 0.06  # what lies lower is not told from a shadow on the floor
+_RIM_PX = 1  # of the drawn volume, which is up to a voxel too wide
+# Of the shadow within 15 x 15 pixels about one, what must lie inside the volume: a shadow on the floor reaches beyond.
+_MOSTLY, _AROUND_PX = 0.7, 15
+
+
+class SecondLook:
+    """The cameras of a rig on one grid, asked which shadows are none.
+
+    Not to be shared between threads. Raises ValueError for fewer than LEAST_CAMERAS cameras.
+    """
+
+    def __init__(self, rig: CameraRig, grid: VoxelGrid) -> None:
+        if len(rig) < LEAST_CAMERAS:
+            raise ValueError(f"rig: expected at least {LEAST_CAMERAS} cameras, got {len(rig)}")
+        self._rig, self._grid = rig, grid
+        self._carver = Carver(rig, grid)
+        floor = _floor_of(grid)
+        self._floor = [_Places(camera, floor, pixels_of_points(camera, floor)) for camera in rig]
+
+    def masks(self, masks: Sequence[Mask], shadows: Sequence[Mask]) -> list[Mask]:
+        """The masks of one instant, with what turned out to be no shadow.
+
+        masks, shadows : (H, W) bool per camera, apart from each other. A shadow becomes foreground inside the volume
+        that all cameras but one see as person or shadow, and more than half as person; not where it lies on the
+        floor, which is so where as many other cameras see shadow as see the empty floor.
+        """
+        person = self._drawn_person(masks, shadows)
+        floor = self._drawn_shadow(masks, shadows)
+        return [
+            mask | _mostly(shadow & there & ~lying, shadow)
+            for mask, shadow, there, lying in zip(masks, shadows, person, floor, strict=True)
+        ]
+
+    def _drawn_person(self, masks: Sequence[Mask], shadows: Sequence[Mask]) -> list[Mask]:
+        """Where each camera would see the volume that can be nothing but a person."""
+        either = [mask | shadow for mask, shadow in zip(masks, shadows, strict=True)]
+        voxels = self._carver.carve(either, n_faulty_views=_BLIND)
+        pixels = self._carver.pixels(voxels)
+        against = np.zeros(len(voxels), dtype=np.int64)
+        for c, mask in enumerate(masks):
+            against += (pixels[:, c] >= 0) & ~mask.ravel()[pixels[:, c]]
+        high = self._grid.centers(voxels)[:, 2] > _FLOOR_M
+        keep = high & (against <= (len(masks) - 1) // 2)
+        voxels, pixels = voxels[keep], pixels[keep]
+        outer = surface_voxels(voxels, self._grid)
+        points, pixels = self._grid.centers(voxels[outer]), pixels[outer]
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM_PX + 1,) * 2)
+        drawn = []
+        for c, camera in enumerate(self._rig):
+            there = _Places(camera, points, pixels[:, c]).drawn(self._grid.voxel_size_m)
+            drawn.append(cv2.erode(there.view(np.uint8), disc).view(np.bool_))
+        return drawn
+
+    def _drawn_shadow(self, masks: Sequence[Mask], shadows: Sequence[Mask]) -> list[Mask]:
+        """Where each camera would see what the others say is a shadow on the floor."""
+        dark = [
+            (floor.pixels >= 0) & shadow.ravel()[floor.pixels]
+            for shadow, floor in zip(shadows, self._floor, strict=True)
+        ]
+        some = np.flatnonzero(np.logical_or.reduce(dark))
+        dark = [one[some] for one in dark]
+        clear = [
+            (floor.pixels[some] >= 0) & ~mask.ravel()[floor.pixels[some]] & ~one
+            for mask, one, floor in zip(masks, dark, self._floor, strict=True)
+        ]
+        all_dark, all_clear = (np.sum(votes, axis=0, dtype=np.int64) for votes in (dark, clear))
+        drawn = []
+        for c, floor in enumerate(self._floor):
+            n_dark = all_dark - dark[c]
+            lies = (n_dark >= 1) & (n_dark >= all_clear - clear[c])
+            drawn.append(floor.drawn(self._grid.voxel_size_m, some[lies]))
+        return drawn
+
+
+class _Places:
+    """Points (N, 3) m as a camera sees them: their pixels, flat (N,) with -1 outside its picture, and depths."""
+
+    def __init__(self, camera: Camera, points: Array, pixels: NDArray[np.int32]) -> None:
+        self.camera, self.pixels = camera, pixels
+        self._depth = points @ camera.R[2] + camera.t[2]
+
+    def drawn(self, side_m: float, chosen: NDArray[np.int64] | slice = slice(None)) -> Mask:
+        """Cubes of that side about the chosen points, (H, W) bool."""
+        pixels, depth = self.pixels[chosen], self._depth[chosen]
+        v, u = np.divmod(pixels[pixels >= 0], self.camera.size[0])
+        uv = np.column_stack([u, v]).astype(np.float64)
+        return squares(self.camera, uv, depth[pixels >= 0], side_m)
+
+
+def _floor_of(grid: VoxelGrid) -> Array:
+    """Points of the floor z = 0 under the grid, (N, 3) m, a voxel's side apart."""
+    nx, ny, _ = grid.shape
+    columns = np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2)
+    xy = grid.origin[:2] + (columns + 0.5) * grid.voxel_size_m
+    return np.column_stack([xy, np.zeros(len(xy))])
+
+
+def _mostly(found: Mask, shadow: Mask) -> Mask:
+    """The part of what was found that is most of the shadow about it."""
+    out = np.zeros_like(found)
+    x, y, w, h = cv2.boundingRect(found.view(np.uint8))
+    if w == 0:
+        return out
+    side, half = (_AROUND_PX, _AROUND_PX), _AROUND_PX // 2
+    rows, columns = slice(max(y - half, 0), y + h + half), slice(max(x - half, 0), x + w + half)
+    some, whole = (
+        cv2.boxFilter(
+            mask[rows, columns].view(np.uint8),
+            cv2.CV_16S,
+            side,
+            normalize=False,
+            borderType=cv2.BORDER_CONSTANT,
+        )
+        for mask in (found, shadow)
+    )
+    out[rows, columns] = found[rows, columns] & (some >= _MOSTLY * whole)
+    return out
