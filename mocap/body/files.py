@@ -8,7 +8,6 @@ from collections.abc import Iterable
 
 from mocap.arrays import Array
 from mocap.body.model import Body, BodyModel, JointSpec, PartSpec
-from mocap.data.motion import LANDMARKS
 
 _DIGITS = 6  # of fractions of the height: some micrometres
 _HEIGHT_DIGITS = 4
@@ -50,7 +49,7 @@ def model_of(body: Body, model: BodyModel) -> BodyModel:
         name: model.landmarks[name].model_copy(
             update={"offset": _fractions(body.landmark_offset[m], body.height_m)}
         )
-        for m, name in enumerate(LANDMARKS)
+        for m, name in enumerate(body.landmarks)
     }
     return model.model_copy(
         update={"height_m": height, "joint": tuple(joints), "part": tuple(parts), "landmarks": landmarks}

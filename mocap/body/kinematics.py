@@ -55,7 +55,7 @@ def transforms_by_exponentials(body: Body, state: Array) -> tuple[Array, Array]:
 
 
 def landmarks_of(body: Body, states: Array) -> Array:
-    """Landmarks of states: (N, D) -> (N, 15, 3) m, world, in the order of LANDMARKS.  Source: CF Eq. A.14."""
+    """Landmarks of states: (N, D) -> (N, M, 3) m, world, in the order of `Body.landmarks`.  Source: CF Eq. A.14."""
     R, t = joint_transforms(body, states)
     j = body.landmark_joint
     return np.einsum("nlrc,lc->nlr", R[:, j], body.landmark_offset) + t[:, j]

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, V
 
 from mocap.arrays import Array
 from mocap.body._kernels import BodyArrays, Chain, ConeArrays
-from mocap.data.motion import LANDMARKS
+from mocap.data.motion import ALL_LANDMARKS, FURTHER_LANDMARKS, LANDMARKS, landmark_names
 from mocap.data.problem import StateLayout
 from mocap.errors import MocapError
 from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
@@ -122,7 +122,7 @@ class Body:
     layout : columns of the state; 0..2 are the root's position, m; the rest are rad.
     max_speed : (D,) largest expected speed per column, m/s or rad/s.
     usual_std : (D,) how far a column usually is from 0, rad; inf = nothing is known.
-    landmark_joint : (15,), landmark_offset : (15, 3) m in the joint's frame.
+    landmark_joint : (M,), landmark_offset : (M, 3) m in the joint's frame; M is 15, or 21 with feet and hands.
     variance : (P, 4) factors of CF Table 6.2.
     Source: CF Eq. 6.2.
     """
@@ -186,8 +186,13 @@ class Body:
 
     @property
     def landmark_parts(self) -> NDArray[np.int64]:
-        """The part that carries every landmark, (15,)."""
+        """The part that carries every landmark, (M,)."""
         return self.part_of_joint[self.landmark_joint]
+
+    @property
+    def landmarks(self) -> tuple[str, ...]:
+        """Names of the landmarks, (M,)."""
+        return landmark_names(len(self.landmark_joint))
 
 
 def body_presets() -> tuple[str, ...]:
@@ -258,6 +263,10 @@ def _mistakes_of_landmarks(model: BodyModel, joints: Sequence[str]) -> Iterator[
     missing = [n for n in LANDMARKS if n not in model.landmarks]
     if missing:
         yield f"landmarks missing: {', '.join(missing)}"
+    further = [n for n in FURTHER_LANDMARKS if n in model.landmarks]
+    if further and len(further) < len(FURTHER_LANDMARKS):
+        missing = [n for n in FURTHER_LANDMARKS if n not in further]
+        yield f"landmarks of feet and hands come all or none; missing: {', '.join(missing)}"
 
 
 def _mistakes_of_joint(joint: JointSpec, before: Sequence[str]) -> Iterator[str]:
@@ -330,7 +339,7 @@ def scale_body(model: BodyModel, height_m: float) -> Body:
 
 def _landmarks(model: BodyModel, index: dict[str, int]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Joint (M,) of each landmark and its offset (M, 3) there, fractions of the standing height."""
-    specs = [model.landmarks[name] for name in LANDMARKS]
+    specs = [model.landmarks[name] for name in ALL_LANDMARKS if name in model.landmarks]
     joint = np.array([index[spec.joint] for spec in specs], dtype=np.int64)
     return joint, np.array([spec.offset for spec in specs])
 

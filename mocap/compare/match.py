@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Motion
+from mocap.data import ALL_LANDMARKS, LANDMARKS, Motion
 from mocap.metrics import point_errors
 
 Array = NDArray[np.float64]
@@ -22,6 +22,7 @@ class Pair:
     """One true person and the estimate that belongs to them, on the scored frames.
 
     estimate, truth, std : (T, 15, 3) m, NaN = unknown.  observed : (T, 15) bool, true where the estimate does not say.
+    further_estimate, further_truth : (T, 6, 3) m, the FURTHER_LANDMARKS, which are scored apart from the fifteen.
     has_estimate : False where nobody was matched.
     """
 
@@ -31,6 +32,8 @@ class Pair:
     truth: Array
     std: Array
     observed: NDArray[np.bool_]
+    further_estimate: Array
+    further_truth: Array
     has_estimate: bool = True
 
 
@@ -43,8 +46,19 @@ def matched_pairs(
         own, target = on_frames_of_truth(e, t, frames)
         std = np.full_like(own.landmarks, np.nan) if own.std is None else own.std
         observed = np.ones(std.shape[:2], dtype=np.bool_) if own.observed is None else own.observed
+        scored, further = slice(None, len(LANDMARKS)), slice(len(LANDMARKS), None)
         pairs.append(
-            Pair(t.person, target.frames, own.landmarks, target.landmarks, std, observed, e is not None)
+            Pair(
+                person=t.person,
+                frames=target.frames,
+                estimate=own.landmarks[:, scored],
+                truth=target.landmarks[:, scored],
+                std=std[:, scored],
+                observed=observed[:, scored],
+                further_estimate=own.landmarks[:, further],
+                further_truth=target.landmarks[:, further],
+                has_estimate=e is not None,
+            )
         )
     return pairs
 
@@ -82,7 +96,8 @@ def associate_persons(
 def _distance(estimate: Motion, truth: Motion, frames: Frames) -> float:
     """Mean landmark distance over the frames of the truth, m; infinite without a common frame."""
     own, target = on_frames_of_truth(estimate, truth, frames)
-    error = point_errors(own.landmarks, target.landmarks) / 1000.0
+    scored = slice(None, len(LANDMARKS))
+    error = point_errors(own.landmarks[:, scored], target.landmarks[:, scored]) / 1000.0
     is_known = np.isfinite(error)
     if not is_known.any():
         return np.inf
@@ -92,22 +107,25 @@ def _distance(estimate: Motion, truth: Motion, frames: Frames) -> float:
 
 
 def on_frames_of_truth(estimate: Motion | None, truth: Motion, frames: Frames) -> tuple[Motion, Motion]:
-    """Both motions on the scored frames of the truth; landmarks and std are NaN where the estimate has none."""
+    """Both motions on the scored frames of the truth, with all landmarks; they and std are NaN where there are none."""
     keep = np.ones(len(truth), bool) if frames is None else np.isin(truth.frames, np.asarray(frames))
     scored = truth.frames[keep]
-    target = Motion(truth.person, scored, truth.time_s[keep], truth.landmarks[keep])
-    landmarks = np.full((len(scored), len(LANDMARKS), 3), np.nan)
+    landmarks = np.full((len(scored), len(ALL_LANDMARKS), 3), np.nan)
+    of_truth = landmarks.copy()
+    of_truth[:, : truth.landmarks.shape[1]] = truth.landmarks[keep]
+    target = Motion(truth.person, scored, truth.time_s[keep], of_truth)
     std = np.full_like(landmarks, np.nan)
     if estimate is None:
         return Motion(truth.person, scored, target.time_s, landmarks, std), target
     _, rows, source = np.intersect1d(scored, estimate.frames, return_indices=True)
-    landmarks[rows] = estimate.landmarks[source]
+    own = slice(None, estimate.landmarks.shape[1])
+    landmarks[rows, own] = estimate.landmarks[source]
     if estimate.std is not None:
-        std[rows] = estimate.std[source]
+        std[rows, own] = estimate.std[source]
     observed = None
     if estimate.observed is not None:
         observed = np.zeros(landmarks.shape[:2], dtype=np.bool_)
-        observed[rows] = estimate.observed[source]
+        observed[rows, own] = estimate.observed[source]
     return Motion(estimate.person, scored, target.time_s, landmarks, std, observed), target
 
 

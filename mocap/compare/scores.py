@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.compare.match import Pair, matched_pairs, stacked
 from mocap.compare.units import unit_warning
-from mocap.data import LANDMARKS, Motion, Tracks
+from mocap.data import FURTHER_LANDMARKS, LANDMARKS, Motion, Tracks
 from mocap.metrics.angles import angle_scores
 from mocap.metrics.points import (
     OFFSET_FRAMES,
@@ -67,6 +67,7 @@ KEYS = (
     "extra_persons",
     "per_landmark_mm",
     "per_landmark_mmta_percent",
+    "per_further_landmark_mm",
     "pck_percent",
     "unit_warning",
 )
@@ -142,6 +143,7 @@ def _pose_scores(pairs: Sequence[Pair], epsilon_mm: float) -> dict[str, Any]:
         "landmarks_scored": points.n_scored,
         "per_landmark_mm": _by_landmark(points.landmark_mean_mm),
         "per_landmark_mmta_percent": _by_landmark(points.landmark_mmta_percent),
+        "per_further_landmark_mm": _further_mm(pairs),
         "pck_percent": {
             f"{mm:g}": finite_or_none(v)
             for mm, v in zip(PCK_THRESHOLDS_MM, pck_percent(x, y, PCK_THRESHOLDS_MM), strict=True)
@@ -205,6 +207,20 @@ def finite_or_none(value: float) -> float | None:
 
 def _by_landmark(values: Array) -> dict[str, float | None]:
     return {name: finite_or_none(value) for name, value in zip(LANDMARKS, values, strict=True)}
+
+
+def _further_mm(pairs: Sequence[Pair]) -> dict[str, float] | None:
+    """Mean error of every landmark of feet and hands that both sides know somewhere; None without one."""
+    errors = [point_errors(p.further_estimate, p.further_truth) for p in pairs]
+    known = (
+        {
+            name: own[np.isfinite(own)]
+            for name, own in zip(FURTHER_LANDMARKS, np.concatenate(errors).T, strict=True)
+        }
+        if errors
+        else {}
+    )
+    return {name: float(own.mean()) for name, own in known.items() if len(own)} or None
 
 
 def _no_tracks() -> Tracks:

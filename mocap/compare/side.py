@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.compare.units import length_unit
-from mocap.data import LANDMARKS, Motion, Tracks
+from mocap.data import ALL_LANDMARKS, FURTHER_LANDMARKS, LANDMARKS, Motion, Tracks
 from mocap.errors import MocapError
 from mocap.files import load_json
 from mocap.io.formats import PoseFile, read_poses
 from mocap.io.formats.csv import read_csv
 from mocap.io.formats.panoptic import panoptic_folder
 from mocap.io.poses import Reading, SideMap, read_motions
-from mocap.io.tables import read_tracks_csv
+from mocap.io.tables import FEET_AND_HANDS, read_feet_and_hands_csv, read_tracks_csv
 
 # A day and a half at 1000 frames per second: what goes beyond is no record of a run.
 _MOST_FRAMES = 10**8
@@ -99,6 +99,8 @@ def read_estimate(path: Path, options: SideMap) -> Side:
 def _own_folder(name: str, path: Path, folder: Path, options: SideMap) -> Side:
     tracks = folder / "tracks.csv"
     poses: PoseFile = read_csv(folder / "landmarks.csv")
+    if (folder / FEET_AND_HANDS).exists():
+        poses = with_feet_and_hands(poses, folder / FEET_AND_HANDS)
     return Side(
         name,
         path,
@@ -106,6 +108,22 @@ def _own_folder(name: str, path: Path, folder: Path, options: SideMap) -> Side:
         read_tracks_csv(tracks) if tracks.exists() else None,
         folder=folder,
     )
+
+
+def with_feet_and_hands(poses: PoseFile, path: Path) -> PoseFile:
+    """The persons of a truth with their landmarks of feet and hands, which stand in a table of their own."""
+    more = {own.person: own for own in read_feet_and_hands_csv(path)}
+    people = []
+    for table in poses.people:
+        own = more.get(table.person)
+        if own is not None and table.names == LANDMARKS:
+            xyz = np.full((len(table.frames), len(FURTHER_LANDMARKS), 3), np.nan)
+            _, here, there = np.intersect1d(table.frames, own.frames, return_indices=True)
+            xyz[here] = own.xyz[there]
+            xyz = np.concatenate([table.xyz, xyz], axis=1)
+            table = replace(table, names=ALL_LANDMARKS, xyz=xyz, std=None, observed=None)
+        people.append(table)
+    return replace(poses, people=tuple(people))
 
 
 def frames_of_run(out: Path) -> tuple[int, ...] | None:

@@ -3,7 +3,16 @@
 from mocap.data.angles import AngleSeries
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.hierarchy import Hierarchy, Level, Limb
-from mocap.data.motion import BONES, LANDMARKS, Motion, Tracks
+from mocap.data.motion import (
+    ALL_LANDMARKS,
+    BONES,
+    FURTHER_LANDMARKS,
+    LANDMARKS,
+    Motion,
+    Tracks,
+    bones_between,
+    landmark_names,
+)
 from mocap.data.occluders import Occluders, n_judges
 from mocap.data.problem import ArticulatedProblem, ResidualProblem, StateLayout
 from mocap.data.skeleton import Skeleton
@@ -11,7 +20,9 @@ from mocap.data.skin import Skin
 from mocap.data.voxels import Hull, VoxelGrid
 
 __all__ = [
+    "ALL_LANDMARKS",
     "BONES",
+    "FURTHER_LANDMARKS",
     "LANDMARKS",
     "AngleSeries",
     "ArticulatedProblem",
@@ -29,5 +40,7 @@ __all__ = [
     "StateLayout",
     "Tracks",
     "VoxelGrid",
+    "bones_between",
+    "landmark_names",
     "n_judges",
 ]

@@ -27,6 +27,19 @@ LANDMARKS: tuple[str, ...] = (
     "right_ankle",
 )
 
+# Landmarks of bodies that have feet and hands: they follow the fifteen in every array, and are scored apart from them.
+# Heel and toe lie on the sole, below the back of the heel bone and at the tip of the great toe; the hand's tip is that
+# of the middle finger.
+FURTHER_LANDMARKS: tuple[str, ...] = (
+    "left_heel",
+    "left_toe",
+    "left_hand_tip",
+    "right_heel",
+    "right_toe",
+    "right_hand_tip",
+)
+ALL_LANDMARKS: tuple[str, ...] = (*LANDMARKS, *FURTHER_LANDMARKS)
+
 # Bones of the stick figure, as pairs of landmark names.
 BONES: tuple[tuple[str, str], ...] = (
     ("pelvis", "neck"),
@@ -43,15 +56,39 @@ BONES: tuple[tuple[str, str], ...] = (
     ("pelvis", "right_hip"),
     ("right_hip", "right_knee"),
     ("right_knee", "right_ankle"),
+    ("left_ankle", "left_heel"),
+    ("left_ankle", "left_toe"),
+    ("left_heel", "left_toe"),
+    ("left_wrist", "left_hand_tip"),
+    ("right_ankle", "right_heel"),
+    ("right_ankle", "right_toe"),
+    ("right_heel", "right_toe"),
+    ("right_wrist", "right_hand_tip"),
 )
+
+
+def landmark_names(n_landmarks: int) -> tuple[str, ...]:
+    """Names of so many landmarks: the fifteen, or all with feet and hands.  Raises ValueError for another number."""
+    if n_landmarks not in (len(LANDMARKS), len(ALL_LANDMARKS)):
+        raise ValueError(
+            f"{n_landmarks} landmarks, expected {len(LANDMARKS)}, or {len(ALL_LANDMARKS)} with feet and hands"
+        )
+    return ALL_LANDMARKS[:n_landmarks]
+
+
+def bones_between(n_landmarks: int) -> list[tuple[int, int]]:
+    """The bones of a stick figure of so many landmarks, as pairs of their columns."""
+    names = landmark_names(n_landmarks)
+    return [(names.index(a), names.index(b)) for a, b in BONES if a in names and b in names]
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Landmarks of one person over time.
 
-    frames : (T,) int64, ascending.  time_s : (T,).  landmarks : (T, 15, 3) m, world, order LANDMARKS, NaN =
-    unknown.  std : (T, 15, 3) m or None.  observed : (T, 15) bool or None.
+    frames : (T,) int64, ascending.  time_s : (T,).  landmarks : (T, M, 3) m, world, NaN = unknown; M is 15,
+    in the order of LANDMARKS, or 21 with FURTHER_LANDMARKS after them.  std : (T, M, 3) m or None.  observed : (T, M)
+    bool or None.
     """
 
     person: int
@@ -63,11 +100,17 @@ class Motion:
 
     def __post_init__(self) -> None:
         expected = (len(self.frames), len(LANDMARKS), 3)
-        if self.landmarks.shape != expected:
-            raise ValueError(f"landmarks has shape {self.landmarks.shape}, expected {expected}")
+        more = (len(self.frames), len(ALL_LANDMARKS), 3)
+        if self.landmarks.shape not in (expected, more):
+            raise ValueError(f"landmarks has shape {self.landmarks.shape}, expected {expected} or {more}")
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The landmarks in the order of their columns, (M,)."""
+        return landmark_names(self.landmarks.shape[1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,12 +6,13 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Motion, Tracks
+from mocap.data import ALL_LANDMARKS, FURTHER_LANDMARKS, LANDMARKS, Motion, Tracks
 from mocap.errors import MocapError
 from mocap.files import MB, TEXT_LIMIT_BYTES, check_regular
 from mocap.io._files import atomic_text
@@ -19,6 +20,8 @@ from mocap.io._files import atomic_text
 TRACK_COLUMNS = ("frame", "time_s", "person", "x_m", "y_m", "z_m")
 TRACK_STATUS_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "status")
 LANDMARK_COLUMNS = ("frame", "time_s", "person", "landmark", "x_m", "y_m", "z_m")
+FEET_AND_HANDS = "extra.csv"  # true landmarks of feet and hands, beside the fifteen of landmarks.csv
+FURTHER_COLUMNS = ("frame", "person", "point", "x_m", "y_m", "z_m", "in_contact")
 UNCERTAINTY_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "observed")
 DETECTION_COLUMNS = ("frame", "u_px", "v_px")
 WORLD_POINT_COLUMNS = ("camera", "u_px", "v_px", "x_m", "y_m", "z_m")
@@ -30,7 +33,7 @@ MOST_WHOLE = 10**12
 # pixels, no recording lasts that long; larger values only overflow later, where nobody knows the line any more.
 MOST_OF = {"_m": 1e6, "px": 1e6, "_s": 1e12}
 
-_LANDMARK_INDEX = {name: i for i, name in enumerate(LANDMARKS)}
+_LANDMARK_INDEX = {name: i for i, name in enumerate(ALL_LANDMARKS)}
 _STATUS = {"confirmed": True, "coasting": False}
 _OBSERVED = {"1": True, "0": False, "true": True, "false": False}
 
@@ -97,7 +100,7 @@ def _track_rows(
 
 
 def write_landmarks_csv(path: Path | str, motions: Sequence[Motion]) -> None:
-    """Write the landmarks of all persons, rows by frame, person and order of LANDMARKS, atomically.
+    """Write the landmarks of all persons, rows by frame, person and order of the landmarks, atomically.
 
     The columns std_*_m and observed are left out when there are motions and none has either (a truth); NaN is
     written as `nan`, a missing `observed` as an empty field.
@@ -115,7 +118,7 @@ def write_landmarks_csv(path: Path | str, motions: Sequence[Motion]) -> None:
 def _landmark_lines(motion: Motion, i: int, has_more: bool) -> Iterator[str]:
     """The rows of one person in one frame.  has_more : with deviations and `observed`."""
     begin = f"{int(motion.frames[i])},{_text(motion.time_s[i])},{motion.person}"
-    for j, name in enumerate(LANDMARKS):
+    for j, name in enumerate(motion.names):
         fields = [begin, name, *(_text(x) for x in motion.landmarks[i, j])]
         if has_more:
             std = np.full(3, np.nan) if motion.std is None else motion.std[i, j]
@@ -127,7 +130,8 @@ def _landmark_lines(motion: Motion, i: int, has_more: bool) -> Iterator[str]:
 def read_landmarks_csv(path: Path | str) -> list[Motion]:
     """Read the landmarks of all persons, one Motion each, ordered by person.
 
-    Landmarks that a frame does not list are NaN; `std` and `observed` are None where the file says nothing.
+    Landmarks that a frame does not list are NaN; those of feet and hands are there when a row names one of them.
+    `std` and `observed` are None where the file says nothing.
     Raises MocapError with the line for a missing column, an unknown landmark, a number that is none, or a
     doubled row.
     """
@@ -152,7 +156,7 @@ class _PersonRows:
         frame = whole_of(self._path, line, row, "frame")
         name = row["landmark"].strip()
         if name not in _LANDMARK_INDEX:
-            raise _bad(self._path, line, f"unknown landmark {name!r}; known are {', '.join(LANDMARKS)}")
+            raise _bad(self._path, line, f"unknown landmark {name!r}; known are {', '.join(ALL_LANDMARKS)}")
         landmark = _LANDMARK_INDEX[name]
         there = self._values.setdefault(frame, {})
         if landmark in there:
@@ -169,8 +173,10 @@ class _PersonRows:
 
     def motion(self) -> Motion:
         frames = sorted(self._values)
-        values = np.full((len(frames), len(LANDMARKS), 6), np.nan)
-        seen = np.zeros((len(frames), len(LANDMARKS)), dtype=np.bool_)
+        has_further = any(j >= len(LANDMARKS) for there in self._values.values() for j in there)
+        n_landmarks = len(ALL_LANDMARKS if has_further else LANDMARKS)
+        values = np.full((len(frames), n_landmarks, 6), np.nan)
+        seen = np.zeros((len(frames), n_landmarks), dtype=np.bool_)
         for i, frame in enumerate(frames):
             for j, row_values in self._values[frame].items():
                 values[i, j] = row_values
@@ -183,6 +189,65 @@ class _PersonRows:
             values[..., 3:].copy() if np.isfinite(values[..., 3:]).any() else None,
             seen if self._observed else None,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class FeetAndHands:
+    """True landmarks of feet and hands of one person.
+
+    frames : (T,) int64, ascending.  xyz : (T, 6, 3) m, world, in the order of FURTHER_LANDMARKS, NaN = unknown.
+    in_contact : (T, 6), whether it rests on the floor.
+    """
+
+    person: int
+    frames: NDArray[np.int64]
+    xyz: NDArray[np.float64]
+    in_contact: NDArray[np.bool_]
+
+
+def write_feet_and_hands_csv(path: Path | str, people: Sequence[FeetAndHands]) -> None:
+    """Write `frame,person,point,x_m,y_m,z_m,in_contact`, rows by frame and person, atomically."""
+    order = sorted((int(f), p.person, k, i) for k, p in enumerate(people) for i, f in enumerate(p.frames))
+    lines = [",".join(FURTHER_COLUMNS)]
+    for frame, person, k, i in order:
+        own = people[k]
+        lines += [
+            f"{frame},{person},{name},{','.join(_text(x) for x in xyz)},{int(touches)}"
+            for name, xyz, touches in zip(FURTHER_LANDMARKS, own.xyz[i], own.in_contact[i], strict=True)
+        ]
+    atomic_text(Path(path), "\n".join(lines) + "\n")
+
+
+def read_feet_and_hands_csv(path: Path | str) -> list[FeetAndHands]:
+    """Read true landmarks of feet and hands, ordered by person; other points of the table are left out.
+
+    Raises MocapError with the line for a missing column, a number that is none, or a doubled row.
+    """
+    path = Path(path)
+    found: dict[int, dict[int, dict[int, tuple[float, ...]]]] = {}
+    for line, row in rows_of(path, FURTHER_COLUMNS):
+        name = row["point"].strip()
+        if name not in FURTHER_LANDMARKS:
+            continue
+        frame, person = whole_of(path, line, row, "frame"), whole_of(path, line, row, "person")
+        there = found.setdefault(person, {}).setdefault(frame, {})
+        point = FURTHER_LANDMARKS.index(name)
+        if point in there:
+            raise _bad(path, line, f"{name} of person {person} in frame {frame} is there twice")
+        places = (_number(path, line, row, c, may_miss=True) for c in ("x_m", "y_m", "z_m"))
+        there[point] = (*places, _number(path, line, row, "in_contact"))
+    return [_feet_and_hands(person, found[person]) for person in sorted(found)]
+
+
+def _feet_and_hands(person: int, rows: dict[int, dict[int, tuple[float, ...]]]) -> FeetAndHands:
+    frames = sorted(rows)
+    values = np.full((len(frames), len(FURTHER_LANDMARKS), 4), np.nan)
+    for i, frame in enumerate(frames):
+        for point, numbers in rows[frame].items():
+            values[i, point] = numbers
+    return FeetAndHands(
+        person, np.array(frames, dtype=np.int64), values[..., :3].copy(), values[..., 3] == 1.0
+    )
 
 
 def read_detections_csv(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.data import LANDMARKS
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.metrics import point_errors
 from mocap.pipeline.panels import chosen_frames, images_of
@@ -178,5 +179,7 @@ def errors_by_person(found: Found, truth_dir: Path) -> dict[int, tuple[NDArray[n
             continue
         common, i, j = np.intersect1d(estimate.frames, true.frames, return_indices=True)
         if len(common):
-            errors[estimate.person] = (common, point_errors(estimate.landmarks[i], true.landmarks[j]))
+            scored = slice(None, len(LANDMARKS))
+            mm = point_errors(estimate.landmarks[i][:, scored], true.landmarks[j][:, scored])
+            errors[estimate.person] = (common, mm)
     return errors

@@ -14,7 +14,7 @@ from mocap.view import REPORT_SCORES, ReportData, write_report
 OUTPUT_WORDS = {
     "run.json": "configuration, versions, seed, timings and warnings of this run",
     "tracks.csv": "where every person is in every frame, how certain that is, and whether he was seen",
-    "landmarks.csv": "15 landmarks per person and frame, with standard deviations, metres",
+    "landmarks.csv": "landmarks per person and frame, with standard deviations, metres",
     "angles.csv": "anatomical angles per person and frame, with standard deviations, degrees",
     "pose.npz": "joint angles, root, landmark covariances",
     "body.toml": "the person's body as sized, for `body.model` of another run (body_1.toml and so on of several)",

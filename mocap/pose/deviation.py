@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body
 from mocap.body.kinematics import point_jacobian
-from mocap.data import LANDMARKS, StateLayout
+from mocap.data import StateLayout
 from mocap.data.problem import limbs_of
 from mocap.pose.method import DeviationSettings
 
@@ -26,9 +26,9 @@ class FrameSeries:
     """What the filter has found of one person in T frames, each on its own.
 
     states : (T, D).  information : (T, D, D) inverse covariance of the refined state, 0 where there is none.
-    spread : (T, 15, 3, 3) m^2, of the particles about the estimate.  misfit : (T, P) nats >= 0, how badly every part
+    spread : (T, M, 3, 3) m^2, of the particles about the estimate.  misfit : (T, P) nats >= 0, how badly every part
     fits the volume.  unexplained : (T,) share of the hull's surface that lies far from the body.  blind_std : (T,) m,
-    what a pose that was carried on has gained since the last hull, 0 = seen.  hidden_std : (T, 15) m, the same for a
+    what a pose that was carried on has gained since the last hull, 0 = seen.  hidden_std : (T, M) m, the same for a
     landmark that too few cameras could judge while others saw the rest.
     """
 
@@ -69,21 +69,21 @@ def limb_misfit(layout: StateLayout, misfit: Array, most_nats: float) -> Array:
 def landmark_misfit(
     body: Body, series: FrameSeries, most_nats: float = DeviationSettings.most_misfit_nats
 ) -> Array:
-    """How badly the limb of every landmark fits, (T, 15) nats."""
+    """How badly the limb of every landmark fits, (T, M) nats."""
     return limb_misfit(body.layout, series.misfit, most_nats)[:, body.landmark_parts]
 
 
 def landmark_covariances(
     body: Body, series: FrameSeries, settings: DeviationSettings, *, is_refined: bool
 ) -> Array:
-    """Covariance of every landmark, (T, 15, 3, 3) m^2.
+    """Covariance of every landmark, (T, M, 3, 3) m^2.
 
     is_refined : the covariance of the fit, from its normal matrix, and what the fit does not know: the body's own
     errors, and the chance that a limb which fits badly is lost (`DeviationSettings.of_landmark`). Otherwise the spread
     of the particles takes the place of the fit's. A hull that the body does not explain, a pose that was carried on and
     a landmark that could not be seen add to both.
     """
-    floor, per_nat = np.array([settings.of_landmark[landmark_kind(name)] for name in LANDMARKS]).T
+    floor, per_nat = np.array([settings.of_landmark[landmark_kind(name)] for name in body.landmarks]).T
     misfit = landmark_misfit(body, series, settings.most_misfit_nats)
     own = (
         floor**2 + (per_nat * misfit) ** 2 + astray_variance(series, settings)[:, None] + series.hidden_std**2
@@ -101,7 +101,7 @@ def landmark_covariances(
 
 
 def widened(covariance: Array, rig_offset_m: float, settings: DeviationSettings) -> Array:
-    """Covariances (T, 15, 3, 3) m^2 where the cameras do not agree with each other: nobody knows which are right.
+    """Covariances (T, M, 3, 3) m^2 where the cameras do not agree with each other: nobody knows which are right.
 
     rig_offset_m : by how much their lines of sight miss each other, 0 = they agree.
     """

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, landmarks_of
 from mocap.body.average import mean_state
-from mocap.data import LANDMARKS
 from mocap.filters import FILTERS, FilterInfo, ParticleState, initial_particles
 from mocap.pose.evidence import FrameEvidence, PersonClip, WholeBodyEvidence
 from mocap.pose.limb_search import LimbSchedule, search_limbs
@@ -205,7 +204,7 @@ class OnePose:
         self._xyz = self._place_at(first_row)
         self._last_row: int | None = None
         self._blind_std, self._n_blind = 0.0, 0
-        self._hidden_std = np.zeros(len(LANDMARKS))
+        self._hidden_std = np.zeros(len(self.tools.body.landmarks))
         self._limbs = LimbSchedule(self.settings.method.limb_search)
         self._loss = FallenEvidence(self.settings.method.restart)
 
@@ -225,12 +224,12 @@ class OnePose:
             state=self._estimate,
             landmarks=landmarks_of(body, self._estimate[None])[0],
             information=np.zeros((layout.n_columns,) * 2),
-            spread=np.zeros((len(LANDMARKS), 3, 3)),
+            spread=np.zeros((len(body.landmarks), 3, 3)),
             misfit=np.zeros(layout.n_parts),
             unexplained=0.0,
             blind_std=float(np.hypot(self.settings.method.follow.blind_std_m, self._blind_std)),
-            hidden_std=np.zeros(len(LANDMARKS)),
-            observed=np.zeros(len(LANDMARKS), dtype=np.bool_),
+            hidden_std=np.zeros(len(body.landmarks)),
+            observed=np.zeros(len(body.landmarks), dtype=np.bool_),
             log_likelihood=float("nan"),
             evidence=float("nan"),
             ess_share=float("nan"),
@@ -370,7 +369,7 @@ def point_estimate(body: Body, particles: ParticleState, info: FilterInfo, kind:
 
 
 def _landmark_spread(body: Body, particles: ParticleState, estimate: Array) -> Array:
-    """Spread of the landmarks over the particles around the estimate's, (15, 3, 3) m^2."""
+    """Spread of the landmarks over the particles around the estimate's, (M, 3, 3) m^2."""
     d = landmarks_of(body, particles.particles) - landmarks_of(body, estimate[None])
     return np.einsum("n,nlr,nlc->lrc", particles.weights, d, d)
 

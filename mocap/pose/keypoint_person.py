@@ -13,7 +13,6 @@ from mocap.body.initial import DEFAULT_HEIGHT_M, HeightEstimate
 from mocap.body.keypoints import place_keypoints
 from mocap.body.kinematics import point_jacobian
 from mocap.body.markers import marker_positions
-from mocap.data import LANDMARKS
 from mocap.data.keypoints import KEYPOINTS
 from mocap.filters.smoother import smooth_states
 from mocap.likelihood.markers import BundleSettings, bundle
@@ -227,7 +226,7 @@ def _result(
 
 
 def _smoothed(tools: KeypointTools, poses: Sequence[FramePose]) -> tuple[Array, Array]:
-    """States (T, D) smoothed over time, and the covariance of their landmarks (T, 15, 3, 3) m^2."""
+    """States (T, D) smoothed over time, and the covariance of their landmarks (T, M, 3, 3) m^2."""
     body, numbers = tools.body, tools.numbers
     states = np.array([pose.state for pose in poses])
     information = np.array([pose.information for pose in poses])
@@ -239,7 +238,6 @@ def _smoothed(tools: KeypointTools, poses: Sequence[FramePose]) -> tuple[Array, 
 
 
 def _of_landmarks(body: Body, state: Array, covariance: Array) -> Array:
-    """Covariance of the landmarks (15, 3, 3) m^2 from that of a state (D, D)."""
+    """Covariance of the landmarks (M, 3, 3) m^2 from that of a state (D, D)."""
     _, J, _ = point_jacobian(body, state, body.landmark_joint, body.landmark_offset)
-    assert len(J) == len(LANDMARKS)
     return np.asarray(np.einsum("lri,ij,lcj->lrc", J, covariance, J))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from mocap.body import Body, cones_of, landmarks_of
 from mocap.body.initial import DEFAULT_HEIGHT_M, HeightEstimate
 from mocap.body.kinematics import point_jacobian
-from mocap.data import LANDMARKS
 from mocap.filters.smoother import smooth_states
 from mocap.likelihood.markers import BundleSettings, bundle_markers
 from mocap.pose.beam import BeamPath, follow_beam
@@ -351,7 +350,7 @@ class _Walk:
     """Poses of all frames before they are smoothed.
 
     states : (T, D).  ess_share : (T,).  is_seen : (T,).  observed : (T, 15).  information : (T, D, D) of refined poses,
-    0 where nothing is seen, or None.  spread : (T, 15, 3, 3) m^2 of the particles, or None.
+    0 where nothing is seen, or None.  spread : (T, M, 3, 3) m^2 of the particles, or None.
     """
 
     states: Array
@@ -450,7 +449,7 @@ def _result(
 def _smoothed(
     tools: MarkerTools, states: Array, information: Array, is_seen: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
-    """States (T, D) smoothed over time, where that is asked for, and the covariance of their landmarks (T, 15, 3, 3)
+    """States (T, D) smoothed over time, where that is asked for, and the covariance of their landmarks (T, M, 3, 3)
     m^2."""
     body, numbers = tools.body, tools.settings.method.marker_fit
     per_s2 = np.where(body.is_position, numbers.acceleration_m_s2, numbers.acceleration_rad_s2)
@@ -458,7 +457,7 @@ def _smoothed(
     is_smooth = tools.judged_by.smooth
     if is_smooth:
         states = np.clip(smoothed, body.layout.lower, body.layout.upper)
-    spread = np.empty((len(states), len(LANDMARKS), 3, 3))
+    spread = np.empty((len(states), len(body.landmarks), 3, 3))
     for i in range(len(states)):
         if not is_smooth and is_seen[i]:
             covariance[i] = np.linalg.inv(information[i] + np.diag(tools.noise_std**-2.0))

@@ -292,6 +292,9 @@ UNCERTAINTY: Mapping[str, tuple[float, float]] = {
     "hip": (0.015, 0.012),
     "knee": (0.009, 0.003),
     "ankle": (0.010, 0.003),
+    "heel": (0.012, 0.003),
+    "toe": (0.014, 0.004),
+    "hand_tip": (0.012, 0.008),
 }
 
 

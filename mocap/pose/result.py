@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body
 from mocap.body.initial import HeightEstimate
-from mocap.data import LANDMARKS, Motion
+from mocap.data import Motion, landmark_names
 from mocap.metrics.smoothness import smoothness_scores
 from mocap.pose.deviation import FrameSeries
 
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 class PersonPoses:
     """The result for one person.
 
-    frames : (T,).  states : (T, D).  landmarks : (T, 15, 3) m.  landmark_covariance : (T, 15, 3, 3) m^2.
-    observed : (T, 15) bool.
+    frames : (T,).  states : (T, D).  landmarks : (T, M, 3) m, in the order of the body's.  landmark_covariance :
+    (T, M, 3, 3) m^2.  observed : (T, M) bool.
     log_likelihood, ess_share : (T,), of the poses before they were smoothed.  start_frame : where the first pose was
     found.  first_pose : its name.  series : what the frames gave one by one, before smoothing; None = not kept.
     """
@@ -114,8 +114,9 @@ def warnings_of_volumes(
 
 
 def _seldom_observed(observed: NDArray[np.bool_], log_likelihood: Array) -> list[str]:
-    """Landmarks that were observed (T, 15) in less than half of the frames that had a usable volume."""
+    """Landmarks that were observed (T, M) in less than half of the frames that had a usable volume."""
     usable = np.isfinite(log_likelihood)
     if not usable.any():
         return []
-    return [name for name, share in zip(LANDMARKS, observed[usable].mean(axis=0), strict=True) if share < 0.5]
+    names = landmark_names(observed.shape[1])
+    return [name for name, share in zip(names, observed[usable].mean(axis=0), strict=True) if share < 0.5]

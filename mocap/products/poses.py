@@ -1,7 +1,7 @@
 """Poses, product `pose`: states and landmarks of every person, and the body that they belong to.
 
-Per frame, of the P persons in it, `person` (P,) int64, `state` (P, D), `landmarks` (P, 15, 3) m, `covariance`
-(P, 15, 3, 3) m^2, `observed` (P, 15) bool, `log_likelihood` and `ess_share` (P,); bodies in the attributes.
+Per frame, of the P persons in it, `person` (P,) int64, `state` (P, D), `landmarks` (P, M, 3) m, `covariance`
+(P, M, 3, 3) m^2, `observed` (P, M) bool, `log_likelihood` and `ess_share` (P,); bodies in the attributes.
 """
 
 from __future__ import annotations

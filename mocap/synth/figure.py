@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Skeleton
+from mocap.data import FURTHER_LANDMARKS, LANDMARKS, Skeleton
 
 Array = NDArray[np.float64]
 
@@ -44,6 +44,7 @@ PARENTS: NDArray[np.int64] = np.array(
 )
 SIDES: tuple[tuple[str, float], ...] = (("left", 1.0), ("right", -1.0))
 SOLE_M = 0.018  # shoe sole under the bare foot
+HEEL_BACK = 0.038  # from the ankle back to where the heel strikes, of the stature
 HAIR = (
     "usual",
     "short",
@@ -213,6 +214,27 @@ def landmarks_of(figure: Figure, position: Array, rotation: Array) -> Array:
             out[:, i] = position[:, JOINT["head"]] + rotation[:, JOINT["head"]] @ figure.head_top
         else:
             out[:, i] = position[:, JOINT[name]]
+    return out
+
+
+def feet_and_hands_of(figure: Figure, position: Array, rotation: Array) -> Array:
+    """Heels, toes and hand tips in the order of FURTHER_LANDMARKS, (T, 6, 3) m: heel and toe on the sole of the shoe.
+
+    The heel is where the foot lands and rolls, the toe lies under the tip of the foot. Source: Winter, as for the
+    figure: the foot is .152 of the stature long, the ankle stands .038 before its heel; the hand is .108 long.
+    """
+    h, sole = figure.stature_m, -figure.ankle_height_m
+    out = np.zeros((len(position), len(FURTHER_LANDMARKS), 3))
+    for i, name in enumerate(FURTHER_LANDMARKS):
+        side, _, kind = name.partition("_")
+        ball = figure.offsets[JOINT[f"{side}_toe"]]
+        joint, offset = {
+            "heel": ("ankle", np.array([-HEEL_BACK * h, 0.0, sole])),
+            "toe": ("toe", np.array([0.114 * h - ball[0], 0.0, sole - ball[2]])),
+            "hand_tip": ("wrist", np.array([0.0, 0.0, -0.108 * h])),
+        }[kind]
+        j = JOINT[f"{side}_{joint}"]
+        out[:, i] = position[:, j] + rotation[:, j] @ offset
     return out
 
 

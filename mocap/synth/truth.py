@@ -11,16 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Camera, Motion, Tracks, VoxelGrid
-from mocap.io.tables import write_landmarks_csv, write_tracks_csv
+from mocap.io.tables import (
+    FEET_AND_HANDS,
+    FeetAndHands,
+    write_feet_and_hands_csv,
+    write_landmarks_csv,
+    write_tracks_csv,
+)
 from mocap.progress import Progress
 from mocap.synth.body import Body, mesh_volume_and_centroid
-from mocap.synth.figure import JOINTS, PARENTS, forward_kinematics, landmarks_of
+from mocap.synth.figure import JOINTS, PARENTS, feet_and_hands_of, forward_kinematics, landmarks_of
 from mocap.synth.voxelise import solid_voxels
-from mocap.synth.world import World
+from mocap.synth.world import Actor, World
 
 Array = NDArray[np.float64]
 
 TRUTH_VOXEL_M = 0.02
+CONTACT_SPEED_M_S = 0.35  # a point rests on the floor while it is slower
+CONTACT_HEIGHT_M = 0.025  # and lower than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +61,10 @@ def write_truth(world: World, truth: Path, report: Progress) -> None:
             for a, f in zip(world.actors, present, strict=True)
         ],
     )
+    write_feet_and_hands_csv(
+        truth / FEET_AND_HANDS,
+        [feet_and_hands(a, f, scene.fps) for a, f in zip(world.actors, present, strict=True)],
+    )
     _write_tracks(world, truth / "tracks.csv", measured.centroids, measured.inside)
     _write_tracks(world, truth / "heads.csv", measured.heads, measured.inside)
     if world.n_markers:
@@ -63,6 +75,16 @@ def write_truth(world: World, truth: Path, report: Progress) -> None:
     _write_pictures_csv(world, truth / "pictures.csv")
     about = _about(world, measured)
     (truth / "truth.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
+def feet_and_hands(actor: Actor, frames: NDArray[np.int64], fps: float) -> FeetAndHands:
+    """Heels, toes and hand tips of one person in frames (T,) of the session, and whether they rest on the floor."""
+    xyz = feet_and_hands_of(actor.body.figure, actor.position, actor.rotation)
+    steps_m = np.gradient(xyz, axis=0) if len(xyz) > 1 else np.zeros_like(xyz)
+    speed_m_s = np.linalg.norm(steps_m, axis=2) * fps
+    rests = (speed_m_s < CONTACT_SPEED_M_S) & (xyz[..., 2] < CONTACT_HEIGHT_M)
+    rows = actor.lead + frames
+    return FeetAndHands(actor.person, frames, xyz[rows], rests[rows])
 
 
 def _measure(world: World, report: Progress) -> _Measured:

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import BONES, LANDMARKS, Camera, Hull
+from mocap.data import Camera, Hull, bones_between, landmark_names
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -191,20 +191,20 @@ def draw_skeleton(
 ) -> Image:
     """A stick figure with joints; joints that were not observed are hollow, their bones thin.
 
-    image : (H, W, 3) uint8 RGB of `camera`.  landmarks : (15, 3) m, world, order LANDMARKS; NaN is left out.
-    observed : (15,) bool or None = all.  label : text above the head, such as the person's number.
+    image : (H, W, 3) uint8 RGB of `camera`.  landmarks : (M, 3) m, world, M = 15 or, with feet and hands, 21; NaN
+    is left out.  observed : (M,) bool or None = all.  label : text above the head, such as the person's number.
     colour : one RGB colour for all bones (for truth); None = by side.
     """
     out = _copy(image, camera)
     points = np.asarray(landmarks, dtype=np.float64)
-    if points.shape != (len(LANDMARKS), 3):
-        raise ValueError(f"landmarks has shape {points.shape}, expected {(len(LANDMARKS), 3)}")
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"landmarks has shape {points.shape}, expected (M, 3)")
     seen = np.ones(len(points), dtype=np.bool_) if observed is None else np.asarray(observed, dtype=np.bool_)
     uv, depth = camera.project(points)
     uv = _drawable(uv)
     known = _is_known(uv)
     stroke = _stroke(out)
-    tints = [colour or SIDE_COLOURS[side_of_landmark(name)] for name in LANDMARKS]
+    tints = [colour or SIDE_COLOURS[side_of_landmark(name)] for name in landmark_names(len(points))]
     for a, b in _known_bones(known, depth):
         ends = _fixed_point(uv[[a, b]])
         width = 2 * stroke if seen[a] and seen[b] else stroke
@@ -225,8 +225,10 @@ def _labelled_above(image: Image, label: str, uv: Array) -> Image:
 
 def _known_bones(known: Mask, depth: Array) -> list[tuple[int, int]]:
     """Bones with both ends known, the farthest first."""
-    bones = [(LANDMARKS.index(a), LANDMARKS.index(b)) for a, b in BONES]
-    return sorted((ab for ab in bones if known[list(ab)].all()), key=lambda ab: -depth[list(ab)].mean())
+    return sorted(
+        (ab for ab in bones_between(len(known)) if known[list(ab)].all()),
+        key=lambda ab: -depth[list(ab)].mean(),
+    )
 
 
 def _joint(out: Image, uv: Array, tint: Colour, *, is_hollow: bool) -> None:

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import BONES, LANDMARKS, Camera, CameraRig, Hull, Tracks
+from mocap.data import Camera, CameraRig, Hull, Tracks, bones_between, landmark_names
 from mocap.errors import MissingExtra, MocapError
 from mocap.threads import in_parallel
 from mocap.view.overlay import SIDE_COLOURS, BodyPart, person_colour, side_of_landmark
@@ -45,7 +45,7 @@ class SceneFrame:
     """What is shown of one frame.
 
     images : camera name -> (H, W, 3) uint8 RGB as filmed, or None.  hull : world frame, or None.
-    persons : person -> landmarks (15, 3) m, world, NaN = unknown.  parts : person -> fitted body parts.
+    persons : person -> landmarks (M, 3) m, world, NaN = unknown.  parts : person -> fitted body parts.
     """
 
     frame: int
@@ -278,12 +278,12 @@ def _log_persons(rr: Any, stream: Any, item: SceneFrame, shown: set[int]) -> Non
 
 
 def _log_landmarks(rr: Any, stream: Any, person: int, points: Array) -> None:
-    """Bones, joints and number of a person.  points : (15, 3) m, NaN = unknown."""
+    """Bones, joints and number of a person.  points : (M, 3) m, NaN = unknown."""
     base = f"world/persons/{person}"
     known = np.asarray(np.isfinite(points).all(axis=1))
-    bones = [(LANDMARKS.index(a), LANDMARKS.index(b)) for a, b in BONES]
-    bones = [ab for ab in bones if known[list(ab)].all()]
-    sides = [side_of_landmark(LANDMARKS[b]) for _, b in bones]
+    names = landmark_names(len(points))
+    bones = [ab for ab in bones_between(len(points)) if known[list(ab)].all()]
+    sides = [side_of_landmark(names[b]) for _, b in bones]
     strips = [points[list(ab)] for ab in bones]
     line = rr.LineStrips3D(strips, colors=[SIDE_COLOURS[s] for s in sides], radii=[0.012])
     stream.log(f"{base}/skeleton", line)

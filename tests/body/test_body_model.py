@@ -9,7 +9,7 @@ import pytest
 
 from mocap.body import Body, body_presets, landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.model import MAX_PARTS
-from mocap.data import BONES, LANDMARKS
+from mocap.data import ALL_LANDMARKS, BONES, LANDMARKS, bones_between
 from mocap.errors import MocapError
 
 PI = np.pi
@@ -212,7 +212,11 @@ def test_height_must_be_a_length() -> None:
 
 
 def test_bones_connect_known_landmarks() -> None:
-    assert {n for pair in BONES for n in pair} == set(LANDMARKS)
+    assert {n for pair in BONES for n in pair} == set(ALL_LANDMARKS)
+    assert len(bones_between(len(LANDMARKS))) == 14
+    assert len(bones_between(len(ALL_LANDMARKS))) == len(BONES)
+    with pytest.raises(ValueError, match="17 landmarks"):
+        bones_between(17)
 
 
 THESIS = (resources.files("mocap.body") / "presets" / "thesis.toml").read_text("utf-8")
@@ -234,6 +238,10 @@ THESIS = (resources.files("mocap.body") / "presets" / "thesis.toml").read_text("
         (lambda t: t.replace('joint = "neck", from', 'joint = "nose", from'), "unknown joint nose"),
         (lambda t: re.sub(r"\nleft_wrist .*", "", t), "landmarks missing: left_wrist"),
         (lambda t: t.replace('pelvis         = { joint = "root"', 'pelvis         = { joint = "hub"'), "hub"),
+        (
+            lambda t: t + 'left_heel = { joint = "left_knee", offset = [0.0, 0.0, -0.3] }\n',
+            "come all or none; missing: left_toe, left_hand_tip, right_heel",
+        ),
         (lambda t: t.replace("limits = [-1.7, 1.7]", "limits = [1.7, -1.7]", 1), "limits"),
         (lambda t: t.replace("limits = [-1.7, 1.7]", "limits = [nan, 1.7]", 1), "limits"),
         (lambda t: t.replace("speed = 3.0", "speed = 0.0", 1), "speed"),

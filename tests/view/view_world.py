@@ -55,6 +55,8 @@ def body(landmarks: Array) -> list[BodyPart]:
     """One truncated cone per bone that has a thickness."""
     parts = []
     for a, b in BONES:
+        if a not in LANDMARKS or b not in LANDMARKS:
+            continue
         tip = RADIUS_M.get(b.split("_")[-1])
         if tip is None:
             continue

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Motion, Skeleton
+from mocap.data import Motion, Skeleton
 from mocap.errors import MocapError
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ def gap_free(motion: Motion, fps: float) -> Motion:
         return motion
     frames = np.arange(motion.frames[0], motion.frames[-1] + 1)
     rows = motion.frames - motion.frames[0]
-    landmarks = np.full((len(frames), len(LANDMARKS), 3), np.nan)
+    landmarks = np.full((len(frames), *motion.landmarks.shape[1:]), np.nan)
     landmarks[rows] = motion.landmarks
     time_s = motion.time_s[0] + (frames - frames[0]) / fps
     time_s[rows] = motion.time_s

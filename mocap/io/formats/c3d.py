@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Motion
+from mocap.data import Motion
 from mocap.errors import MissingExtra, MocapError
 from mocap.files import read_head
 from mocap.io._child import read_in_child
@@ -108,14 +108,14 @@ def write_c3d(path: Path, motion: Motion, fps: float) -> None:
         )
     motion = gap_free(motion, fps)
     known = np.all(np.isfinite(motion.landmarks), axis=2)
-    points = np.ones((4, len(LANDMARKS), len(motion)))
+    points = np.ones((4, len(motion.names), len(motion)))
     points[:3] = np.where(known[:, :, None], 1000.0 * motion.landmarks, np.nan).transpose(2, 1, 0)
 
     c3d = ezc3d.c3d()
     point = c3d["parameters"]["POINT"]
     point["RATE"]["value"] = [float(fps)]
-    point["LABELS"]["value"] = list(LANDMARKS)
-    point["DESCRIPTIONS"]["value"] = [name.replace("_", " ") for name in LANDMARKS]
+    point["LABELS"]["value"] = list(motion.names)
+    point["DESCRIPTIONS"]["value"] = [name.replace("_", " ") for name in motion.names]
     point["UNITS"]["value"] = ["mm"]
     c3d.add_parameter("POINT", "X_SCREEN", ["+X"])
     c3d.add_parameter("POINT", "Y_SCREEN", ["+Z"])

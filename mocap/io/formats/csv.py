@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap.data import LANDMARKS
 from mocap.errors import MocapError
 from mocap.files import read_text
 from mocap.io.formats.table import (
@@ -52,7 +51,7 @@ def read_csv(path: Path) -> PoseFile:
 def _own(path: Path) -> PoseFile:
     motions = read_landmarks_csv(path)
     people = tuple(
-        PoseTable(m.person, LANDMARKS, m.frames, m.time_s, m.landmarks, m.std, m.observed) for m in motions
+        PoseTable(m.person, m.names, m.frames, m.time_s, m.landmarks, m.std, m.observed) for m in motions
     )
     return PoseFile(path, "landmarks.csv", people, _rate(people), "m", "z")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Motion
+from mocap.data import Motion
 from mocap.files import read_text
 from mocap.io.formats._writing import Y_UP_FROM_WORLD, check_fps, gap_free, write_bytes
 from mocap.io.formats.table import (
@@ -109,7 +109,7 @@ def write_trc(path: Path, motion: Motion, fps: float) -> None:
     check_fps(fps)
     path = Path(path)
     motion = gap_free(motion, fps)
-    n_markers = len(LANDMARKS)
+    n_markers = len(motion.names)
     first = int(motion.frames[0]) if len(motion) else 0
     header = ["DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units"]
     header += ["OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"]
@@ -119,7 +119,7 @@ def write_trc(path: Path, motion: Motion, fps: float) -> None:
         f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
         "\t".join(header),
         "\t".join(values),
-        "Frame#\tTime\t" + "\t\t\t".join(LANDMARKS) + "\t\t",
+        "Frame#\tTime\t" + "\t\t\t".join(motion.names) + "\t\t",
         "\t\t" + "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, n_markers + 1)),
     ]
     points = motion.landmarks @ Y_UP_FROM_WORLD.T

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mocap.data import LANDMARKS
+from mocap.data import ALL_LANDMARKS, FURTHER_LANDMARKS
 from mocap.errors import MocapError
 from mocap.files import load_toml
 from mocap.io.units import AXES, UNITS
@@ -50,10 +50,18 @@ _PLAIN = tuple(f"{{s}}{limb}" for limb in _LIMBS)
 SKELETONS: tuple[KnownSkeleton, ...] = (
     KnownSkeleton(
         "mocap BVH",
-        {"pelvis": "lefthip+righthip", "neck": "neck", "head": "neckend"},
-        ("{s}shoulder", "{s}elbow", "{s}elbowend", "{s}hip", "{s}knee", "{s}kneeend"),
+        {
+            "pelvis": "lefthip+righthip",
+            "neck": "neck",
+            "head": "neckend",
+            "left_toe": "leftankleend",
+            "left_hand_tip": "leftwristend",
+            "right_toe": "rightankleend",
+            "right_hand_tip": "rightwristend",
+        },
+        ("{s}shoulder", "{s}elbow", "{s}elbowend|{s}wrist", "{s}hip", "{s}knee", "{s}kneeend|{s}ankle"),
         ("left", "right"),
-        needs=("leftelbowend",),
+        needs=("waist", "neckend"),
     ),
     KnownSkeleton(
         "SMPL",
@@ -134,7 +142,7 @@ SKELETONS: tuple[KnownSkeleton, ...] = (
     ),
     KnownSkeleton(
         "mocap",
-        {"pelvis": "pelvis", "neck": "neck", "head": "head"},
+        {name: name.replace("_", "") for name in ("pelvis", "neck", "head", *FURTHER_LANDMARKS)},
         tuple(f"{{s}}{limb}" for limb in _LIMBS),
         ("left", "right"),
     ),
@@ -191,7 +199,7 @@ def automatic(names: Sequence[str]) -> tuple[KnownSkeleton, dict[str, tuple[str,
 
 
 def _found_in(skeleton: KnownSkeleton, at: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
-    """Landmark -> names of a file, in the order of LANDMARKS.  at : plain name -> name in the file."""
+    """Landmark -> names of a file, in the order of ALL_LANDMARKS.  at : plain name -> name in the file."""
     found = {}
     for landmark, text in skeleton.sources().items():
         for choice in text.split("|"):
@@ -199,7 +207,7 @@ def _found_in(skeleton: KnownSkeleton, at: Mapping[str, str]) -> dict[str, tuple
             if all(part in at for part in parts):
                 found[landmark] = tuple(at[part] for part in parts)
                 break
-    return {name: found[name] for name in LANDMARKS if name in found}
+    return {name: found[name] for name in ALL_LANDMARKS if name in found}
 
 
 def read_map(path: Path | str) -> dict[str, SideMap]:
@@ -242,10 +250,9 @@ def _named_landmarks(path: Path, side: str, landmarks: Any) -> dict[str, tuple[s
         raise _bad(path, f"{side}.landmarks must be a table")
     named = {}
     for landmark, names in landmarks.items():
-        if landmark not in LANDMARKS:
-            raise _bad(
-                path, f"{side}.landmarks.{landmark} is not a landmark; known are {', '.join(LANDMARKS)}"
-            )
+        if landmark not in ALL_LANDMARKS:
+            known = ", ".join(ALL_LANDMARKS)
+            raise _bad(path, f"{side}.landmarks.{landmark} is not a landmark; known are {known}")
         listed = [names] if isinstance(names, str) else names
         if not isinstance(listed, list) or not listed or not all(isinstance(n, str) for n in listed):
             raise _bad(path, f"{side}.landmarks.{landmark} must be a name or a list of names")

@@ -1,4 +1,4 @@
-"""Named points of a file as motions of our 15 landmarks, z up."""
+"""Named points of a file as motions of our landmarks, z up."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Motion
+from mocap.data import ALL_LANDMARKS, LANDMARKS, Motion
 from mocap.errors import MocapError
 from mocap.io.formats.table import PoseFile, PoseTable
 from mocap.io.poses.maps import SideMap, automatic, plain, skeletons_known
@@ -133,32 +133,35 @@ def _motion(
     fps: float | None,
 ) -> Motion:
     T = len(table.frames)
-    landmarks = np.full((T, len(LANDMARKS), 3), np.nan)
+    names = LANDMARKS if set(sources) <= set(LANDMARKS) else ALL_LANDMARKS
+    landmarks = np.full((T, len(names), 3), np.nan)
     xyz = np.where(np.isfinite(table.xyz), table.xyz, np.nan)
-    columns_of = {LANDMARKS.index(k): [table.names.index(n) for n in names] for k, names in sources.items()}
+    columns_of = {names.index(k): [table.names.index(n) for n in found] for k, found in sources.items()}
     for m, columns in columns_of.items():
         # A mean of what is left would jump when one of the points is lost: NaN carries through.
         landmarks[:, m] = xyz[:, columns].mean(axis=1) @ R.T
-    std = None if table.std is None else _std_of(table.std, columns_of, R)
-    observed = None if table.observed is None else _all_observed(table.observed, columns_of)
+    std = None if table.std is None else _std_of(table.std, columns_of, R, len(names))
+    observed = None if table.observed is None else _all_observed(table.observed, columns_of, len(names))
     time_s = table.time_s
     if fps_of_user is not None or not np.isfinite(time_s).all():
         time_s = table.frames / fps if fps else np.full(T, np.nan)
     return Motion(table.person, table.frames, time_s, landmarks, std, observed)
 
 
-def _std_of(std: Array, columns_of: dict[int, list[int]], R: Array) -> Array:
-    """Deviations (T, 15, 3) of the landmarks that are one point; those of a mean are not known: NaN."""
-    out = np.full((len(std), len(LANDMARKS), 3), np.nan)
+def _std_of(std: Array, columns_of: dict[int, list[int]], R: Array, n_landmarks: int) -> Array:
+    """Deviations (T, M, 3) of the landmarks that are one point; those of a mean are not known: NaN."""
+    out = np.full((len(std), n_landmarks, 3), np.nan)
     for m, columns in columns_of.items():
         if len(columns) == 1:
             out[:, m] = std[:, columns[0]] @ np.abs(R).T
     return out
 
 
-def _all_observed(observed: NDArray[np.bool_], columns_of: dict[int, list[int]]) -> NDArray[np.bool_]:
-    """Whether all points of a landmark were seen, (T, 15)."""
-    out = np.zeros((len(observed), len(LANDMARKS)), dtype=np.bool_)
+def _all_observed(
+    observed: NDArray[np.bool_], columns_of: dict[int, list[int]], n_landmarks: int
+) -> NDArray[np.bool_]:
+    """Whether all points of a landmark were seen, (T, M)."""
+    out = np.zeros((len(observed), n_landmarks), dtype=np.bool_)
     for m, columns in columns_of.items():
         out[:, m] = observed[:, columns].all(axis=1)
     return out

@@ -53,7 +53,7 @@ _NO_PICTURE = np.zeros((0, 0, 3), dtype=np.uint8)
 class PersonResult:
     """One person in one frame.
 
-    xyz : (3,) m, the track.  body : None while it is not known.  pose and deviation_m (15,), the standard deviation of
+    xyz : (3,) m, the track.  body : None while it is not known.  pose and deviation_m (M,), the standard deviation of
     a landmark along an axis: None while the first pose is looked for.
     """
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocap.body import skeleton_of
-from mocap.data import LANDMARKS
+from mocap.data import landmark_names
 from mocap.errors import MocapError
 from mocap.io.formats.bone_names import renamed
 from mocap.pipeline.live.engine import FrameResult, PersonResult
@@ -49,9 +49,10 @@ def _person_to_json(person: PersonResult) -> dict[str, Any]:
         about["height_m"] = round(person.height_m, 3)
     if person.pose is None or person.deviation_m is None:
         return about
-    about["landmarks_m"] = {n: _rounded(xyz) for n, xyz in zip(LANDMARKS, person.pose.landmarks, strict=True)}
-    about["deviation_m"] = dict(zip(LANDMARKS, _rounded(person.deviation_m), strict=True))
-    about["observed"] = dict(zip(LANDMARKS, person.pose.observed.tolist(), strict=True))
+    names = landmark_names(len(person.pose.landmarks))
+    about["landmarks_m"] = {n: _rounded(xyz) for n, xyz in zip(names, person.pose.landmarks, strict=True)}
+    about["deviation_m"] = dict(zip(names, _rounded(person.deviation_m), strict=True))
+    about["observed"] = dict(zip(names, person.pose.observed.tolist(), strict=True))
     return about
 
 
@@ -106,7 +107,9 @@ class UdpOsc(_Udp):
                 self.send(
                     osc_bundle(
                         osc_message(f"/mocap/{person.person}/{name}", *xyz.tolist())
-                        for name, xyz in zip(LANDMARKS, person.pose.landmarks, strict=True)
+                        for name, xyz in zip(
+                            landmark_names(len(person.pose.landmarks)), person.pose.landmarks, strict=True
+                        )
                     )
                 )
 

@@ -16,7 +16,16 @@ from mocap.files import load_toml
 from mocap.synth.capture.asf_amc import read_amc
 from mocap.synth.capture.bvh import read_bvh
 from mocap.synth.capture.recording import Recording
-from mocap.synth.figure import JOINT, JOINTS, PARENTS, SIDES, Figure, forward_kinematics, rotation_about
+from mocap.synth.figure import (
+    HEEL_BACK,
+    JOINT,
+    JOINTS,
+    PARENTS,
+    SIDES,
+    Figure,
+    forward_kinematics,
+    rotation_about,
+)
 from mocap.synth.motions.kit import MAX_REACH, Pose, blend_rotations, hinged_frames, relative, solve_two_bones
 
 Array = NDArray[np.float64]
@@ -282,7 +291,7 @@ def _soles(figure: Figure, position: Array, rotation: Array) -> Array:
     for i, (side, _) in enumerate(SIDES):
         ankle, toe = JOINT[f"{side}_ankle"], JOINT[f"{side}_toe"]
         ball = figure.offsets[toe]
-        for k, x in enumerate((-0.038 * H, ball[0])):
+        for k, x in enumerate((-HEEL_BACK * H, ball[0])):
             point = np.array([x, 0.0, -figure.ankle_height_m])
             out[:, i, k] = position[:, ankle] + rotation[:, ankle] @ point
         tip = np.array([0.040 * H, 0.0, -figure.ankle_height_m - ball[2]])

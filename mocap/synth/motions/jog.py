@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from mocap.synth.figure import JOINT, SIDES, Figure, rotation_about
+from mocap.synth.figure import HEEL_BACK, JOINT, SIDES, Figure, rotation_about
 from mocap.synth.motions.kit import (
     Array,
     Path,
@@ -108,7 +108,7 @@ def _jogging_feet(
     """Ankle positions, foot rotations and toe angles of both feet, and which of them stand flat."""
     H = figure.stature_m
     ankle_h = figure.ankle_height_m
-    heel = np.array([-0.038 * H, 0.0, -ankle_h])
+    heel = np.array([-HEEL_BACK * H, 0.0, -ankle_h])
     ball = figure.offsets[JOINT["left_toe"]]
     toe_out, half_width = np.deg2rad(4.0), 0.020 * H
     at = np.array([0.0, _FLAT_FROM, _FLAT_TO, 0.26, 0.32, _STANCE, 0.46, 0.56, 0.68, 0.80, 0.90, 1.0])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from mocap.synth.figure import JOINT, SIDES, Figure, rotation_about
+from mocap.synth.figure import HEEL_BACK, JOINT, SIDES, Figure, rotation_about
 from mocap.synth.motions.kit import (
     MAX_REACH,
     Array,
@@ -342,7 +342,7 @@ def _foot(
     """Ankle (T, 3), foot rotation (T, 3, 3), toe angle (T,), flat on the floor (T,) and yaw (T,) of one foot."""
     H = figure.stature_m
     ankle_h = figure.ankle_height_m
-    heel = np.array([-0.038 * H, 0.0, -ankle_h])
+    heel = np.array([-HEEL_BACK * H, 0.0, -ankle_h])
     ball = figure.offsets[JOINT["left_toe"]]
     n = len(plants)
     swing = np.array([b.start_s - a.end_s for a, b in itertools.pairwise(plants)])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from mocap.synth.figure import JOINT, SIDES, Figure, rotation_about
+from mocap.synth.figure import HEEL_BACK, JOINT, SIDES, Figure, rotation_about
 from mocap.synth.motions.kit import (
     MAX_REACH,
     Array,
@@ -113,7 +113,7 @@ def _walking_feet(
     """Ankle positions, foot rotations and toe angles of both feet, and which of them stand flat."""
     H = figure.stature_m
     ankle_h = figure.ankle_height_m
-    heel = np.array([-0.038 * H, 0.0, -ankle_h])
+    heel = np.array([-HEEL_BACK * H, 0.0, -ankle_h])
     ball = figure.offsets[
         JOINT["left_toe"]
     ]  # the toes stay on the floor and the foot turns about their joint
