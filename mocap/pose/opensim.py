@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mocap.body import Body, joint_transforms
-from mocap.metrics.anatomy import ISB_FROM_OURS, segment_joints
+from mocap.data import LANDMARKS
+from mocap.data.opensim import OpenSimBody
+from mocap.metrics.anatomy import ISB_FROM_OURS, Joint, joints_of, segment_joints, standing_rotations
 from mocap.pose.angles import anatomical_states, angles_of_states, body_angles
 from mocap.pose.method import AngleSettings
 from mocap.pose.result import PersonPoses
@@ -42,6 +46,18 @@ _PAIRED = {
     "wrist_flexion": "wrist_flex",
     "wrist_deviation": "wrist_dev",
 }
+# Segment -> body of the models, and its share of the mass (Winter, after Dempster).
+_BODIES = {
+    "pelvis": ("pelvis", 0.142),
+    "thorax": ("torso", 0.355),
+    "head": ("head", 0.081),
+    "upper_arm": ("humerus", 0.028),
+    "forearm": ("ulna", 0.016),
+    "hand": ("hand", 0.006),
+    "thigh": ("femur", 0.100),
+    "shank": ("tibia", 0.0465),
+    "foot": ("calcn", 0.0145),
+}
 
 
 def coordinate_of_angle(angle: str) -> tuple[str, float] | None:
@@ -75,3 +91,76 @@ def coordinates_of_states(body: Body, states: Array) -> dict[str, Array]:
         if found is not None:
             values[found[0]] = found[1] * column
     return values
+
+
+def opensim_bodies(body: Body, markers: Mapping[str, str]) -> list[OpenSimBody]:
+    """The body as a model of OpenSim, in metres; its coordinates are those of `opensim_coordinates`.
+
+    markers : landmark -> name, those that the model carries. The shoulder girdle, which the models do not have, is at
+    rest: shoulders are where they are in the rest pose.
+    """
+    at, standing = segment_joints(body.joints), standing_rotations(body.joints, body.offset)
+    places = np.zeros((len(body.joints), 3))  # of the joints at rest, where all frames are parallel
+    for j, parent in enumerate(body.parent):
+        places[j] = body.offset[j] + (places[parent] if parent >= 0 else 0.0)
+
+    def inside(segment: str, place: Array) -> Array:
+        return np.asarray(ISB_FROM_OURS @ standing[segment] @ (place - places[at[segment]]))
+
+    carried = _carried(body, at)
+    movable, out = set(body_angles(body)), {}
+    for joint in joints_of(tuple(at)):
+        if joint.distal in out:
+            continue  # the second sequence of the shoulder
+        own = {
+            markers[name]: inside(joint.distal, places[body.landmark_joint[m]] + body.landmark_offset[m])
+            for m, name in enumerate(LANDMARKS)
+            if carried[m] == joint.distal and name in markers
+        }
+        name, share = _body_of(joint.distal)
+        start = places[at[joint.distal]]
+        out[joint.distal] = OpenSimBody(
+            name=name,
+            parent="ground" if joint.proximal is None else _body_of(joint.proximal)[0],
+            location=np.zeros(3) if joint.proximal is None else inside(joint.proximal, start),
+            rotations=_rotations(joint, movable),
+            mass_share=share,
+            markers=own,
+        )
+    return list(out.values())
+
+
+def _body_of(segment: str) -> tuple[str, float]:
+    side, _, kind = segment.partition("_")
+    if side in ("left", "right"):
+        name, share = _BODIES[kind]
+        return f"{name}_{side[0]}", share
+    return _BODIES[segment]
+
+
+def _carried(body: Body, at: Mapping[str, int]) -> list[str | None]:
+    """The segment that carries every landmark: that of its joint, or of the next one towards the root that has one."""
+    of_joint = {joint: segment for segment, joint in at.items()}
+    found: list[str | None] = []
+    for joint in body.landmark_joint:
+        j = int(joint)
+        while j >= 0 and j not in of_joint:
+            j = int(body.parent[j])
+        found.append(of_joint.get(j))
+    return found
+
+
+def _rotations(joint: Joint, movable: set[str]) -> tuple[tuple[str, tuple[float, float, float]], ...]:
+    """The coordinates of a joint with their axes, in the order of application."""
+    if joint.proximal is None:
+        return tuple(
+            (name, tuple(np.eye(3)["XYZ".index(letter)]))
+            for name, letter in zip(PELVIS[:3], "ZXY", strict=True)
+        )
+    out = []
+    for name, letter, (_, sign) in zip(joint.names, joint.sequence, joint.angles, strict=True):
+        found = coordinate_of_angle(name) if name in movable else None
+        coordinate, own = found or ("", 1.0)
+        mirror = -1.0 if joint.is_left and letter != "Z" else 1.0
+        out.append((coordinate, tuple(sign * own * mirror * np.eye(3)["XYZ".index(letter)])))
+    return tuple(out)
