@@ -80,7 +80,8 @@ def export(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
     what: Annotated[str, typer.Option("--what", help="voxels or motion.")] = "voxels",
     format: Annotated[
-        str | None, typer.Option("--format", help="voxels: ply, npz, glb; motion: bvh, trc, c3d, glb, mot.")
+        str | None,
+        typer.Option("--format", help="voxels: ply, npz, glb; motion: bvh, trc, c3d, glb, mot, osim."),
     ] = None,
     frames: FramesOption = None,
     cubes: Annotated[
@@ -89,14 +90,25 @@ def export(
     bones: Annotated[
         str, typer.Option("--bones", help="Names of bones in BVH and GLB: mocap, mixamo, vrm or unreal.")
     ] = "mocap",
+    markers: Annotated[
+        str,
+        typer.Option(
+            "--markers", help="Names of markers in TRC and for OpenSim: mocap, opencap, halpe26, body25b."
+        ),
+    ] = "mocap",
+    fill: Annotated[
+        bool, typer.Option("--fill", help="TRC without gaps; person_N_filled.csv lists what was filled.")
+    ] = False,
 ) -> None:
     """Coloured voxels per frame, or motion, from a finished run, for other tools."""
-    from mocap.io.formats import BONE_NAMES
+    from mocap.io.formats import BONE_NAMES, MARKER_NAMES
     from mocap.pipeline.export import EXPORTS, export_run
+    from mocap.pipeline.outputs import MotionStyle
 
     check_choice("--what", what, EXPORTS)
     check_choice("--format", format, EXPORTS[what])
     check_choice("--bones", bones, BONE_NAMES)
+    check_choice("--markers", markers, MARKER_NAMES)
 
     with progress_bar() as progress:
         written = export_run(
@@ -106,7 +118,7 @@ def export(
             format=format,
             frames=parse_frames(frames),
             cubes=cubes,
-            bone_names=bones,  # type: ignore[arg-type]
+            style=MotionStyle(bones, markers, fill),  # type: ignore[arg-type]
             progress=progress,
         )
     more = f" ... {written[-1].name}" if len(written) > 1 else ""

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mocap.errors import MocapError, did_you_mean
 from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
-from mocap.io.formats.bone_names import BoneNames
+from mocap.io.formats import BoneNames, MarkerNames
 from mocap.pose.method import Method
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # of a section, of the method's settings
@@ -233,7 +233,7 @@ class MarkersConfig(_Section):
 class OutputConfig(_Section):
     """What is written beside the CSV files."""
 
-    formats: tuple[Literal["bvh", "trc", "c3d", "glb", "mot", "rrd", "report"], ...] = (
+    formats: tuple[Literal["bvh", "trc", "c3d", "glb", "mot", "osim", "rrd", "report"], ...] = (
         "bvh",
         "trc",
         "c3d",
@@ -245,6 +245,12 @@ class OutputConfig(_Section):
     bone_names: BoneNames = "mocap"
     """What bones are called in BVH and GLB: as here, or as in the rigs of Mixamo, of VRM humanoids, of Unreal's
     mannequin, so that the motion falls onto such a character."""
+    marker_names: MarkerNames = "mocap"
+    """What markers are called in TRC and in OpenSim's files: as here, or as in OpenCap, in Halpe26 or BODY_25B of
+    Pose2Sim; points that a set has no name for are left out."""
+    trc_gaps: Literal["blank", "filled"] = "blank"
+    """What a TRC holds where a landmark is unknown: nothing, or a straight line from the last known place to the next,
+    for tools that know no gaps; person_N_filled.csv lists these places then."""
     report_frames: int = Field(default=3, ge=1, le=12)
     """Frames shown as pictures in the report."""
     report_cameras: int = Field(default=4, ge=1, le=16)

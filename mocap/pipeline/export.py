@@ -13,10 +13,9 @@ from mocap.data import Hull, Motion
 from mocap.errors import MocapError
 from mocap.files import load_json
 from mocap.io._files import writing
-from mocap.io.formats import BoneNames, voxels
+from mocap.io.formats import voxels
 from mocap.io.store import StageStore
-from mocap.pipeline.outputs import motion_writers
-from mocap.pose.method import AngleSettings
+from mocap.pipeline.outputs import MotionStyle, motion_writers
 from mocap.pose.result import PersonPoses, motion_of
 from mocap.products import poses as poses_product
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
@@ -26,10 +25,11 @@ from mocap.progress import Progress, no_progress
 
 Frames = tuple[int | None, int | None]
 
+_PLAIN = MotionStyle()
 # What can be exported -> formats, the first by default.
 EXPORTS: dict[str, tuple[str, ...]] = {
     "voxels": ("ply", "npz", "glb"),
-    "motion": ("bvh", "trc", "c3d", "glb", "mot"),
+    "motion": ("bvh", "trc", "c3d", "glb", "mot", "osim"),
 }
 
 
@@ -41,14 +41,14 @@ def export_run(
     format: str | None = None,
     frames: Frames | None = None,
     cubes: bool = False,
-    bone_names: BoneNames = "mocap",
+    style: MotionStyle = _PLAIN,
     progress: Progress | None = None,
 ) -> list[Path]:
     """Write voxels or motion of the run in `out` into `folder`; returns the files.
 
     what, format : see EXPORTS; format None = the first one.  frames : (start, stop) in frames of the session, either
     may be None. Motion holds the frames that a person was followed in.  cubes : voxels in PLY as coloured faces.
-    bone_names : of BVH and GLB.
+    style : how motion is written.
     Raises MocapError for an unknown kind or format, a folder without such a result, or a range without frames.
     """
     if what not in EXPORTS:
@@ -65,7 +65,7 @@ def export_run(
     tick = progress or no_progress
     if what == "voxels":
         return _export_voxels(store, folder, chosen, frames, cubes, tick)
-    return _export_motion(store, folder, chosen, frames, _fps_of_run(out), bone_names, tick)
+    return _export_motion(store, folder, chosen, frames, _fps_of_run(out), style, tick)
 
 
 def _export_voxels(
@@ -97,7 +97,7 @@ def _export_motion(
     format: str,
     frames: Frames | None,
     fps: float,
-    bone_names: BoneNames,
+    style: MotionStyle,
     progress: Progress,
 ) -> list[Path]:
     """One file per person, person_1.bvh."""
@@ -108,7 +108,7 @@ def _export_motion(
         if not keep.any():
             continue
         path = folder / f"person_{poses.person}.{format}"
-        _write_person(path, format, poses, keep, fps, bone_names)
+        _write_person(path, format, poses, keep, fps, style)
         written.append(path)
         progress("export", i + 1, len(people))
     if not people:
@@ -120,7 +120,7 @@ def _export_motion(
 
 
 def _write_person(
-    path: Path, format: str, poses: PersonPoses, keep: NDArray[np.bool_], fps: float, bone_names: BoneNames
+    path: Path, format: str, poses: PersonPoses, keep: NDArray[np.bool_], fps: float, style: MotionStyle
 ) -> None:
     """One person in the frames to keep, (T,)."""
     motion = motion_of(poses, fps)
@@ -131,7 +131,7 @@ def _write_person(
         states=poses.states[keep],
         landmark_covariance=poses.landmark_covariance[keep],
     )
-    motion_writers(shown, kept, fps, bone_names, AngleSettings())[format](path)
+    motion_writers(shown, kept, fps, style)[format](path)
 
 
 def _is_in(frame: int, frames: Frames | None) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,18 @@ from mocap.data import AngleSeries, Motion
 from mocap.errors import MissingExtra, MocapError
 from mocap.io._files import atomic_text, writing
 from mocap.io.angle_table import write_angles_csv
-from mocap.io.formats import BoneNames, renamed, write_bvh, write_c3d, write_glb, write_mot, write_trc
+from mocap.io.formats import (
+    BoneNames,
+    MarkerNames,
+    marker_names,
+    renamed,
+    write_bvh,
+    write_c3d,
+    write_glb,
+    write_mot,
+    write_trc,
+)
+from mocap.io.formats.opensim import write_ik_setup, write_marker_set, write_osim, write_scale_setup
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
 from mocap.pipeline.config import Config
 from mocap.pipeline.record import Found
@@ -23,10 +35,20 @@ from mocap.pipeline.scene_frames import write_scene
 from mocap.pipeline.tracking import every_frame
 from mocap.pose.angles import angles_of
 from mocap.pose.method import AngleSettings
-from mocap.pose.opensim import opensim_coordinates
+from mocap.pose.opensim import opensim_bodies, opensim_coordinates
 from mocap.pose.result import PersonPoses
 from mocap.products.poses import body_files
 from mocap.progress import Progress
+
+
+@dataclass(frozen=True)
+class MotionStyle:
+    """How motion is written: names of bones and markers, whether gaps of a TRC are filled, how angles are found."""
+
+    bone_names: BoneNames = "mocap"
+    marker_names: MarkerNames = "mocap"
+    is_filled: bool = False
+    angles: AngleSettings = field(default_factory=AngleSettings)
 
 
 def write_tables(found: Found, config: Config, folder: Path, *, has_poses: bool) -> None:
@@ -52,17 +74,18 @@ def angles_of_run(found: Found, config: Config) -> list[AngleSeries]:
 
 def write_exports(found: Found, config: Config, folder: Path, *, progress: Progress) -> list[str]:
     """Write into `folder` the exports of every person and the scene; gives what was left out, and why."""
-    formats, fps = config.output.formats, found.session.fps
+    output, fps = config.output, found.session.fps
+    style = MotionStyle(
+        output.bone_names, output.marker_names, output.trc_gaps == "filled", config.method.angles
+    )
     steps: list[tuple[Path, Callable[[Path], None]]] = []
     for poses, motion in zip(found.poses, found.motions, strict=True):
         steps += [
             (folder / f"person_{poses.person}.{name}", write)
-            for name, write in motion_writers(
-                poses, motion, fps, config.output.bone_names, config.method.angles
-            ).items()
-            if name in formats
+            for name, write in motion_writers(poses, motion, fps, style).items()
+            if name in output.formats
         ]
-    if "rrd" in formats:
+    if "rrd" in output.formats:
         steps.append((folder / "scene.rrd", partial(write_scene, found)))
     left_out = []
     for i, (path, write) in enumerate(steps):
@@ -76,20 +99,68 @@ def motion_writers(
     poses: PersonPoses,
     motion: Motion,
     fps: float,
-    bone_names: BoneNames,
-    angles: AngleSettings,
+    style: MotionStyle,
 ) -> dict[str, Callable[[Path], None]]:
     """What writes one person into a file, by the file's suffix."""
     skeleton = renamed(
-        skeleton_of(poses.body, every_frame(poses.frames, poses.states), poses.person), bone_names
+        skeleton_of(poses.body, every_frame(poses.frames, poses.states), poses.person), style.bone_names
     )
     return {
         "bvh": partial(write_bvh, skeleton=skeleton, fps=fps),
         "glb": lambda path: write_glb(path, skeleton, fps, body_skin(poses.body)),
-        "trc": partial(write_trc, motion=motion, fps=fps),
+        "trc": partial(
+            write_trc, motion=motion, fps=fps, markers=style.marker_names, is_filled=style.is_filled
+        ),
         "c3d": partial(write_c3d, motion=motion, fps=fps),
-        "mot": lambda path: write_mot(path, motion.time_s, opensim_coordinates(poses, angles)),
+        "mot": lambda path: write_mot(path, motion.time_s, opensim_coordinates(poses, style.angles)),
+        "osim": lambda path: write_opensim(path, poses, motion, fps, style),
     }
+
+
+# Coordinates that no marker shows: inverse kinematics draws them to ours, so weakly that markers outweigh it.
+_HELD = dict.fromkeys(("lumbar_extension", "lumbar_bending", "lumbar_rotation"), 0.01)
+
+
+def write_opensim(path: Path, poses: PersonPoses, motion: Motion, fps: float, style: MotionStyle) -> None:
+    """A person for OpenSim: the scaled model `path`, and beside it markers without gaps, coordinates, a marker set and
+    the set-up files of inverse kinematics and scaling, the path's stem with `_ik`, `_markers` and `_scale`."""
+    if not len(motion):
+        raise MocapError(f"person {motion.person} has no frames", remedy="export another person", path=path)
+    names = marker_names(motion.names, style.marker_names)
+    bodies, stem = opensim_bodies(poses.body, names), path.stem
+    if not bodies:
+        raise MocapError(
+            "the body has no joints that OpenSim's models have",
+            remedy="name the joints of the body file as those of the bodies that come with this package",
+            path=path,
+        )
+    beside = {
+        word: path.with_name(f"{stem}_{word}") for word in ("ik.trc", "ik.mot", "ik.xml", "markers.xml")
+    }
+    write_osim(path, bodies)
+    write_marker_set(beside["markers.xml"], bodies)
+    write_trc(beside["ik.trc"], motion, fps, markers=style.marker_names, is_filled=True)
+    coordinates = opensim_coordinates(poses, style.angles)
+    write_mot(beside["ik.mot"], motion.time_s, coordinates)
+    write_ik_setup(
+        beside["ik.xml"],
+        model=path.name,
+        trc=beside["ik.trc"].name,
+        coordinates=beside["ik.mot"].name,
+        motion=f"{stem}_ik_result.mot",
+        markers=list(names.values()),
+        held={name: weight for name, weight in _HELD.items() if name in coordinates},
+        time_s=motion.time_s,
+    )
+    write_scale_setup(
+        path.with_name(f"{stem}_scale.xml"),
+        markers=beside["markers.xml"].name,
+        trc=beside["ik.trc"].name,
+        scaled=f"{stem}_scaled.osim",
+        names=names,
+        height_m=poses.body.height_m,
+        time_s=motion.time_s,
+    )
 
 
 def written_or_why(path: Path, write: Callable[[Path], None]) -> list[str]:

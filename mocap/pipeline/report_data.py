@@ -24,6 +24,7 @@ OUTPUT_WORDS = {
     ".trc": "landmark trajectories for biomechanics tools (y up, metres)",
     ".c3d": "landmark trajectories for biomechanics tools (z up, millimetres)",
     ".mot": "joint angles for OpenSim (degrees, metres)",
+    ".osim": "the person as a model for OpenSim; `_ik.xml` beside it runs its inverse kinematics",
     ".glb": "animated person with armature and skin (y up, metres)",
 }
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, joint_transforms
 from mocap.body.kinematics import point_jacobian
-from mocap.data import LANDMARKS, AngleSeries
+from mocap.data import AngleSeries, landmark_names
 from mocap.geometry.rigid import wrap_angle
 from mocap.metrics.anatomy import anatomical_angles, joints_of, movable_angles, segment_frames
 from mocap.pose.method import AngleSettings
@@ -24,7 +26,7 @@ _SHOWN_BY: dict[str, tuple[str, ...]] = {
     "head": ("neck", "head"),
     "upper_arm": ("shoulder", "elbow"),
     "forearm": ("elbow", "wrist"),
-    "hand": ("wrist", "hand"),
+    "hand": ("wrist", "hand_tip"),
     "thigh": ("hip", "knee"),
     "shank": ("knee", "ankle"),
     "foot": ("ankle", "heel", "toe"),
@@ -140,10 +142,11 @@ def _observed(
 ) -> NDArray[np.bool_]:
     """Whether the landmarks of an angle were observed; a turn about a limb's length needs a bend that shows it."""
     seen: dict[str, NDArray[np.bool_]] = {}
+    landmarks = landmark_names(observed.shape[1])
     everything = [*_SHOWN_BY, *(f"{side}_{s}" for side in ("left", "right") for s in _SHOWN_BY)]
     for joint in joints_of(everything):
         both = [segment for segment in (joint.proximal, joint.distal) if segment is not None]
-        rows = [LANDMARKS.index(name) for segment in both for name in _landmarks_of(segment)]
+        rows = [landmarks.index(name) for segment in both for name in _landmarks_of(segment, landmarks)]
         seen.update(dict.fromkeys(joint.names, np.asarray(observed[:, rows].all(axis=1))))
     out = np.ones(values.shape, dtype=np.bool_)
     for i, name in enumerate(names):
@@ -154,9 +157,9 @@ def _observed(
     return out
 
 
-def _landmarks_of(segment: str) -> list[str]:
+def _landmarks_of(segment: str, landmarks: Sequence[str]) -> list[str]:
     """The landmarks that show a segment, of those that there are."""
     side, _, kind = segment.partition("_")
     paired = side in ("left", "right")
     names = (f"{side}_{name}" for name in _SHOWN_BY[kind]) if paired else iter(_SHOWN_BY[segment])
-    return [name for name in names if name in LANDMARKS]
+    return [name for name in names if name in landmarks]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mocap.body import Body, joint_transforms
-from mocap.data import LANDMARKS
+from mocap.data import landmark_names
 from mocap.data.opensim import OpenSimBody
 from mocap.metrics.anatomy import ISB_FROM_OURS, Joint, joints_of, segment_joints, standing_rotations
 from mocap.pose.angles import anatomical_states, angles_of_states, body_angles
@@ -114,7 +114,7 @@ def opensim_bodies(body: Body, markers: Mapping[str, str]) -> list[OpenSimBody]:
             continue  # the second sequence of the shoulder
         own = {
             markers[name]: inside(joint.distal, places[body.landmark_joint[m]] + body.landmark_offset[m])
-            for m, name in enumerate(LANDMARKS)
+            for m, name in enumerate(landmark_names(len(body.landmark_joint)))
             if carried[m] == joint.distal and name in markers
         }
         name, share = _body_of(joint.distal)

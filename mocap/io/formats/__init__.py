@@ -7,6 +7,7 @@ from mocap.io.formats.bone_names import BONE_NAMES, BoneNames, renamed
 from mocap.io.formats.bvh import write_bvh
 from mocap.io.formats.c3d import write_c3d
 from mocap.io.formats.gltf import write_glb
+from mocap.io.formats.marker_names import MARKER_NAMES, MarkerNames, marker_names
 from mocap.io.formats.mot import write_mot
 from mocap.io.formats.readers import read_poses
 from mocap.io.formats.table import PoseFile, PoseTable
@@ -23,9 +24,12 @@ EXPORT_CONVENTIONS: dict[str, dict[str, str]] = {
 __all__ = [
     "BONE_NAMES",
     "EXPORT_CONVENTIONS",
+    "MARKER_NAMES",
     "BoneNames",
+    "MarkerNames",
     "PoseFile",
     "PoseTable",
+    "marker_names",
     "read_poses",
     "renamed",
     "write_bvh",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mocap.data import Motion
 from mocap.files import read_text
 from mocap.io.formats._writing import Y_UP_FROM_WORLD, check_fps, gap_free, write_bytes
+from mocap.io.formats.marker_names import MarkerNames, marker_names
 from mocap.io.formats.table import (
     PoseFile,
     PoseTable,
@@ -98,18 +99,29 @@ def _tabs(line: str) -> list[str]:
     return line.split("\t")
 
 
-def write_trc(path: Path, motion: Motion, fps: float) -> None:
+def write_trc(
+    path: Path, motion: Motion, fps: float, *, markers: MarkerNames = "mocap", is_filled: bool = False
+) -> None:
     """Write the landmarks of one person as a TRC file in metres, Y up.
 
     The axes are those of Pose2Sim and OpenSim: file (x, y, z) = scene (y, z, x), so a reader gets the scene
     back as file (z, x, y). One row for every frame from the motion's first to its last, `Frame#` counts from
     0 as everywhere here; an unknown landmark is three blank cells. A motion without frames gives a header
     only. Raises ValueError for fps <= 0, MocapError when the file cannot be written.
+
+    markers : what the landmarks are called; those that the set has no name for are left out.  is_filled : unknown
+    places are drawn straight from the last known one to the next, which tools want that know no gaps; STEM_filled.csv
+    beside the file lists them.
     """
     check_fps(fps)
     path = Path(path)
     motion = gap_free(motion, fps)
-    n_markers = len(motion.names)
+    names = marker_names(motion.names, markers)
+    places = motion.landmarks[:, [motion.names.index(name) for name in names]]
+    if is_filled:
+        places, filled = without_gaps(places)
+        _write_filled(path.with_name(f"{path.stem}_filled.csv"), motion.frames, list(names.values()), filled)
+    n_markers = len(names)
     first = int(motion.frames[0]) if len(motion) else 0
     header = ["DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units"]
     header += ["OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"]
@@ -119,10 +131,10 @@ def write_trc(path: Path, motion: Motion, fps: float) -> None:
         f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
         "\t".join(header),
         "\t".join(values),
-        "Frame#\tTime\t" + "\t\t\t".join(motion.names) + "\t\t",
+        "Frame#\tTime\t" + "\t\t\t".join(names.values()) + "\t\t",
         "\t\t" + "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, n_markers + 1)),
     ]
-    points = motion.landmarks @ Y_UP_FROM_WORLD.T
+    points = places @ Y_UP_FROM_WORLD.T
     for frame, time_s, row in zip(motion.frames, motion.time_s, points, strict=True):
         cells = [
             "\t\t" if not np.isfinite(point).all() else "\t".join(f"{value:.6f}" for value in point)
@@ -130,3 +142,25 @@ def write_trc(path: Path, motion: Motion, fps: float) -> None:
         ]
         lines.append(f"{int(frame)}\t{time_s:.6f}\t" + "\t".join(cells))
     write_bytes(path, ("\n".join(lines) + "\n").encode("utf-8"))
+
+
+def without_gaps(places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Places (T, K, 3) with unknown ones drawn between their neighbours in time, and which these are, (T, K).
+
+    Before the first and after the last known place it stands; what is never known stays unknown.
+    """
+    known = np.asarray(np.isfinite(places).all(axis=2))
+    out = places.copy()
+    frames = np.arange(len(places))
+    for k in np.flatnonzero(known.any(axis=0)):
+        for axis in range(3):
+            out[:, k, axis] = np.interp(frames, frames[known[:, k]], places[known[:, k], k, axis])
+    return out, ~known & np.isfinite(out).all(axis=2)
+
+
+def _write_filled(
+    path: Path, frames: NDArray[np.int64], markers: list[str], filled: NDArray[np.bool_]
+) -> None:
+    """The places that were not measured: one line per frame and marker."""
+    lines = [f"{int(frames[i])},{markers[k]}" for i, k in np.argwhere(filled)]
+    write_bytes(path, ("\n".join(["frame,marker", *lines]) + "\n").encode("utf-8"))

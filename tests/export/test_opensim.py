@@ -1,0 +1,194 @@
+"""OpenSim: names of markers, gaps, the model and its set-up files; and OpenSim itself, where it is installed."""
+
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from marker_world import marching
+
+from mocap.body import landmarks_of, load_body_model, scale_body
+from mocap.body.initial import HeightEstimate
+from mocap.data import ALL_LANDMARKS, LANDMARKS, Motion
+from mocap.errors import MocapError
+from mocap.io.formats import MARKER_NAMES, marker_names, read_poses, write_trc
+from mocap.io.formats.trc import without_gaps
+from mocap.pipeline.outputs import MotionStyle, write_opensim
+from mocap.pose.method import AngleSettings
+from mocap.pose.opensim import coordinates_of_states, opensim_bodies
+from mocap.pose.result import PersonPoses
+
+FPS = 30.0
+T = 20
+BODY = scale_body(load_body_model("girdle"), 1.75)
+
+
+def motion_of_places(places: np.ndarray) -> Motion:
+    frames = np.arange(4, 4 + len(places))
+    return Motion(2, frames, frames / FPS, places)
+
+
+@pytest.mark.parametrize("markers", MARKER_NAMES)
+def test_markers_have_other_names_and_the_same_places(tmp_path, markers):
+    places = np.random.default_rng(0).uniform(0.1, 2.0, (3, len(LANDMARKS), 3))
+    write_trc(tmp_path / "person_2.trc", motion_of_places(places), FPS, markers=markers)
+    (table,) = read_poses(tmp_path / "person_2.trc").people
+    names = marker_names(LANDMARKS, markers)
+    assert table.names == tuple(names.values())
+    for landmark, marker in names.items():
+        in_file = table.xyz[:, table.names.index(marker)]
+        assert in_file[:, [2, 0, 1]] == pytest.approx(places[:, LANDMARKS.index(landmark)], abs=1e-6)
+
+
+def test_names_are_those_of_the_other_tools():
+    halpe = marker_names(ALL_LANDMARKS, "halpe26")
+    assert halpe["left_heel"] == "LHeel"
+    assert halpe["right_toe"] == "RBigToe"
+    assert halpe["pelvis"] == "Hip"
+    assert "left_hand_tip" not in halpe
+    assert marker_names(LANDMARKS, "opencap")["pelvis"] == "midHip"
+    assert "head" not in marker_names(LANDMARKS, "opencap")
+    assert "pelvis" not in marker_names(LANDMARKS, "body25b")
+    for markers in MARKER_NAMES:
+        names = list(marker_names(ALL_LANDMARKS, markers).values())
+        assert len(set(names)) == len(names)
+
+
+def test_gaps_are_filled_and_listed(tmp_path):
+    places = np.cumsum(np.ones((6, len(LANDMARKS), 3)), axis=0)
+    places[2:4, 5] = np.nan
+    places[0, 7] = np.nan
+    places[:, 9] = np.nan  # never seen: nothing to draw from
+    write_trc(tmp_path / "a.trc", motion_of_places(places), FPS, is_filled=True)
+    (table,) = read_poses(tmp_path / "a.trc").people
+    assert table.xyz[:, 5, 0] == pytest.approx([1, 2, 3, 4, 5, 6])
+    assert table.xyz[0, 7] == pytest.approx([2, 2, 2])
+    assert np.isnan(table.xyz[:, 9]).all()
+    listed = (tmp_path / "a_filled.csv").read_text().splitlines()
+    assert listed == ["frame,marker", f"4,{LANDMARKS[7]}", f"6,{LANDMARKS[5]}", f"7,{LANDMARKS[5]}"]
+
+
+def test_without_gaps_nothing_changes():
+    places = np.random.default_rng(1).normal(size=(5, 3, 3))
+    filled, which = without_gaps(places)
+    assert (filled == places).all()
+    assert not which.any()
+
+
+def a_walk() -> tuple[PersonPoses, Motion]:
+    """A marching person whose shoulder girdle is at rest, as OpenSim's models have none."""
+    states = marching(BODY, T, FPS)
+    states[:, [i for i, name in enumerate(BODY.layout.names) if "clavicle" in name]] = 0.0
+    places = landmarks_of(BODY, states)
+    frames = np.arange(T)
+    poses = PersonPoses(
+        person=1,
+        body=BODY,
+        height=HeightEstimate(BODY.height_m, True),
+        frames=frames,
+        states=states,
+        landmarks=places,
+        landmark_covariance=np.tile(1e-4 * np.eye(3), (*places.shape[:2], 1, 1)),
+        observed=np.ones(places.shape[:2], dtype=bool),
+        log_likelihood=np.zeros(T),
+        ess_share=np.ones(T),
+        start_frame=0,
+        first_pose="",
+    )
+    return poses, Motion(1, frames, frames / FPS, places)
+
+
+STYLE = MotionStyle(marker_names="halpe26", angles=AngleSettings(spine_std_deg=1e6))
+
+
+def test_the_model_stands_as_the_body_does():
+    """Joints and markers, chained from the pelvis outwards, are the body's with hanging arms."""
+    bodies = {b.name: b for b in opensim_bodies(BODY, marker_names(LANDMARKS, "mocap"))}
+    places = {"ground": np.zeros(3)}
+    for body in bodies.values():
+        places[body.name] = places[body.parent] + body.location
+    state = np.zeros((1, BODY.layout.n_columns))
+    names = BODY.layout.names
+    state[0, names.index("right_shoulder_x")] = np.pi / 2
+    state[0, names.index("left_shoulder_x")] = -np.pi / 2
+    ours = landmarks_of(BODY, state)[0]
+    for body in bodies.values():
+        for name, inside in body.markers.items():
+            x, y, z = places[body.name] + inside  # forward, up, right
+            assert (x, -z, y) == pytest.approx(tuple(ours[LANDMARKS.index(name)]), abs=1e-9), name
+    assert sum(b.mass_share for b in bodies.values()) < 1.0
+    turning = {c for b in bodies.values() for c, _ in b.rotations if c}
+    assert turning | {"pelvis_tx", "pelvis_ty", "pelvis_tz"} == set(coordinates_of_states(BODY, state))
+
+
+def test_files_name_each_other_and_what_is_in_them(tmp_path):
+    poses, motion = a_walk()
+    write_opensim(tmp_path / "person_1.osim", poses, motion, FPS, STYLE)
+    written = {path.name for path in tmp_path.iterdir()}
+    stem = "person_1_"
+    assert written == {
+        "person_1.osim",
+        *(stem + n for n in ("ik.trc", "ik.mot", "ik.xml", "ik_filled.csv", "markers.xml", "scale.xml")),
+    }
+    ik = ElementTree.parse(tmp_path / "person_1_ik.xml").getroot()
+    for tag in ("model_file", "marker_file", "coordinate_file"):
+        assert ik.findtext(f".//{tag}") in written
+    in_model = {m.get("name") for m in ElementTree.parse(tmp_path / "person_1.osim").iter("Marker")}
+    assert {task.get("name") for task in ik.iter("IKMarkerTask")} == in_model
+    scale = ElementTree.parse(tmp_path / "person_1_scale.xml").getroot()
+    pairs = {pair.text for pair in scale.iter("markers")}
+    assert {"RHip RKnee", "LKnee LAnkle", "LHip RHip"} <= pairs
+    assert all(set(pair.split()) <= in_model for pair in pairs)
+
+
+def test_what_is_no_person_is_refused(tmp_path):
+    poses, motion = a_walk()
+    nobody = Motion(1, motion.frames[:0], motion.time_s[:0], motion.landmarks[:0])
+    with pytest.raises(MocapError, match="no frames"):
+        write_opensim(tmp_path / "a.osim", poses, nobody, FPS, STYLE)
+
+
+OPENSIM = """
+import json, os, sys
+import opensim
+os.chdir(sys.argv[1])
+opensim.Logger.setLevelString("error")
+assert opensim.InverseKinematicsTool("person_1_ik.xml").run()
+opensim.ScaleTool("person_1_scale.xml").run()
+scaled = opensim.Model("person_1_scaled.osim")
+scaled.initSystem()
+lengths = [scaled.getJointSet().get(n).getParentFrame().findBaseFrame().getName() for n in ("femur_r_tibia_r",)]
+print("FOUND" + json.dumps(lengths))
+"""
+
+
+def coordinates_in(path):
+    lines = path.read_text().splitlines()
+    at = lines.index("endheader")
+    table = np.array([[float(v) for v in line.split()] for line in lines[at + 2 :] if line.strip()])
+    return dict(zip(lines[at + 1].split(), table.T, strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("opensim") is None, reason="opensim: the extra `opensim`")
+def test_opensim_finds_our_angles_from_our_markers(tmp_path):
+    """Its inverse kinematics on our files as they are, against our coordinates; and its scaling changes nothing."""
+    poses, motion = a_walk()
+    write_opensim(tmp_path / "person_1.osim", poses, motion, FPS, STYLE)
+    shutil.copy(tmp_path / "person_1.osim", tmp_path / "generic.osim")
+    said = subprocess.run(
+        [sys.executable, "-c", OPENSIM, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+    )
+    assert json.loads(said.stdout.split("FOUND")[1].splitlines()[0]) == ["femur_r"]
+    ours, theirs = (coordinates_in(tmp_path / f"person_1_{n}.mot") for n in ("ik", "ik_result"))
+    for name in set(ours) - {"time"}:
+        assert theirs[name] == pytest.approx(ours[name], abs=0.002 if "_t" in name[-3:] else 1.0), name
+    assert np.ptp(ours["hip_flexion_r"]) > 20.0
