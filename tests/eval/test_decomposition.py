@@ -295,6 +295,10 @@ def test_the_page_says_where_orders_of_the_sources_hold() -> None:
     assert "| 1 of 1 (0 / 0), 0.95 to 0.95 | 1 of 2 (1 / 1), 0.80 to 1.10 |" in row
     text = "\n".join(pages.answer(lines, lines))
     assert "**2 of 3 published orders hold" in text
+    assert (
+        "1 of those that hold and\n1 of those that fail are decided by the 10 runs of their cells, the other 1 lie"
+        in text
+    )
     assert "in 1 of 2 objects, 0.80 to 1.10" in text
     assert "**0.80** *1.10*" in "\n".join(pages.own_worlds(lines))
 
