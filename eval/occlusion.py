@@ -19,18 +19,21 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eval.whole import write_csv
 from mocap.compare.match import matched_pairs
 from mocap.data import LANDMARKS
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv
+from mocap.metrics import coverage_scores
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
 from mocap.products.hulls import read_hulls
 
 RESULTS = Path(__file__).with_name("results")
-DEVELOPMENT, TEST = ("furnished", "furnished_pair"), ("furnished_test", "furnished_pair_test")
+DEVELOPMENT = ("furnished", "furnished_low", "furnished_pair")
+TEST = ("furnished_test", "furnished_pair_test")
 LEGS = ("left_knee", "right_knee", "left_ankle", "right_ankle")
 FIELDS = ("mean_error_mm", "mean_error_after_offset_mm", "mmta_percent", "coverage_90_percent")
 Row = dict[str, str | float | int | None]
@@ -48,7 +51,7 @@ def evaluate(session: Path, work: Path, how: str, seed: int, furniture: str = ""
     record = json.loads((out / "run.json").read_text(encoding="utf-8"))
     scores = record["scores"]
     share = record["numbers"].get("occluders", {}).get("picture_share", {})
-    n_hidden, n_claimed = hidden_landmarks(session, out)
+    n_hidden, n_claimed, held = hidden_landmarks(session, out)
     return {
         "session": session.name,
         "furniture": furniture,
@@ -61,29 +64,35 @@ def evaluate(session: Path, work: Path, how: str, seed: int, furniture: str = ""
         "silent_errors": scores["silent_errors"],
         "hidden_everywhere": n_hidden,
         "hidden_but_observed": n_claimed,
+        "coverage_90_seen_by_less_than_two_percent": held,
         "camera_faults": record["numbers"]["carve"]["camera_faults"],
     }
 
 
-def hidden_landmarks(session: Path, out: Path) -> tuple[int | None, int | None]:
-    """How many true landmarks furniture, others or the picture's border hide from all cameras, and how many of them the
-    run calls observed; None where the truth does not say who sees what.
+def hidden_landmarks(session: Path, out: Path) -> tuple[int | None, int | None, float | None]:
+    """How many true landmarks furniture, others or the picture's border hide from all cameras, how many of them the run
+    calls observed, and how many in a hundred of those that fewer than two cameras see lie in their own 90 % region,
+    None where there are none; all None where the truth does not say who sees what.
     """
     files = sorted((session / "truth" / "views").glob("*.npz"))
     if not files:
-        return None, None
+        return None, None, None
     from mocap.synth.markers import Sight
 
     seen = (Sight.VISIBLE, Sight.OWN_BODY)
-    is_hidden = np.all([~np.isin(np.load(file)["landmark_state"], seen) for file in files], axis=0)
+    n_seeing = np.sum([np.isin(np.load(file)["landmark_state"], seen) for file in files], axis=0)
     persons = np.load(files[0])["persons"].tolist()
     found = read_landmarks_csv(out / "landmarks.csv")
     n_hidden, n_claimed = 0, 0
+    regions: list[tuple[NDArray[np.float64], ...]] = []
     for pair in matched_pairs(found, read_landmarks_csv(session / "truth" / "landmarks.csv")):
-        own = is_hidden[pair.frames, persons.index(pair.person)]
-        n_hidden += int(own.sum())
-        n_claimed += int((own & pair.observed & np.isfinite(pair.estimate[..., 0])).sum())
-    return n_hidden, n_claimed
+        own = n_seeing[pair.frames, persons.index(pair.person)]
+        n_hidden += int((own == 0).sum())
+        n_claimed += int(((own == 0) & pair.observed & np.isfinite(pair.estimate[..., 0])).sum())
+        regions.append(tuple(a[own < 2][:, None] for a in (pair.estimate, pair.truth, pair.std)))
+    estimate, truth, std = (np.concatenate(column) for column in zip(*regions, strict=True))
+    held = coverage_scores(estimate, truth, std)
+    return n_hidden, n_claimed, None if held.coverage_percent is None else round(held.coverage_percent, 1)
 
 
 def legs_in_hull(session: Path, out: Path) -> float:

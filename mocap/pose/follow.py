@@ -20,6 +20,7 @@ from mocap.body.average import mean_state
 from mocap.filters import FILTERS, FilterInfo, ParticleState, initial_particles
 from mocap.pose.evidence import FrameEvidence, PersonClip, WholeBodyEvidence
 from mocap.pose.limb_search import LimbSchedule, search_limbs
+from mocap.pose.limbs import in_doubt, legs_exchanged
 from mocap.pose.restart import FallenEvidence, restarted_pose
 from mocap.pose.start import PoseSearch, settle_first_poses, try_first_poses, walking_velocity
 from mocap.profiling import part
@@ -153,7 +154,8 @@ def unbroken(frames: NDArray[np.int64]) -> list[slice]:
 @dataclass(frozen=True, eq=False)
 class FramePose:
     """The pose of one frame.  row : index into the person's frames; information, spread, misfit, unexplained,
-    blind_std and hidden_std as in `FrameSeries`, the rest as in `PersonPoses`.
+    blind_std and hidden_std as in `FrameSeries`, the rest as in `PersonPoses`.  doubtful : (M,) bool, landmarks that
+    another pose, which explains the frame about as well, has elsewhere.
     """
 
     row: int
@@ -169,6 +171,7 @@ class FramePose:
     log_likelihood: float
     evidence: float
     ess_share: float
+    doubtful: NDArray[np.bool_]
 
 
 def follow_pose(
@@ -206,6 +209,8 @@ class OnePose:
         self._blind_std, self._n_blind = 0.0, 0
         self._hidden_std = np.zeros(len(self.tools.body.landmarks))
         self._limbs = LimbSchedule(self.settings.method.limb_search)
+        self._legs_wait = 0
+        self._rival: Array | None = None
         self._loss = FallenEvidence(self.settings.method.restart)
 
     def _place_at(self, row: int) -> Array:
@@ -233,12 +238,13 @@ class OnePose:
             log_likelihood=float("nan"),
             evidence=float("nan"),
             ess_share=float("nan"),
+            doubtful=np.zeros(len(body.landmarks), dtype=np.bool_),
         )
 
     def carry(self, row: int, evidence: FrameEvidence) -> Candidates:
         """The pose of the frame before, moved with the track; nothing after a gap."""
         frames = self.clip.frames
-        self._row, self._evidence = row, evidence
+        self._row, self._evidence, self._rival = row, evidence, None
         self._shift = self._place_at(row) - self._xyz
         self._xyz = self._place_at(row)
         # Frames in which the person was not tracked have no rows.
@@ -299,7 +305,27 @@ class OnePose:
         )
         value = now.value if found is now.state else float(self._evidence.evidence([found])[0])
         self._limbs.note(value - now.value, look_at)
-        return [Candidate(found, value=value)]
+        return [self._with_legs_judged(Candidate(found, value=value))]
+
+    def _with_legs_judged(self, now: Candidate) -> Candidate:
+        """The pose with each leg where the other one is, where that raises the evidence; looked at now and then, and in
+        every frame while the evidence hardly tells the two apart.
+        """
+        numbers = self.settings.method.legs
+        self._legs_wait -= 1
+        if self._legs_wait > 0:
+            return now
+        rival = legs_exchanged(self._evidence, now.state)
+        if rival is None:
+            return now
+        value = float(self._evidence.evidence([rival])[0])
+        other = Candidate(rival, value=value)
+        if value > now.value + numbers.better_nats:
+            now, other = other, now
+        is_clear = other.value < now.value - numbers.clear_nats
+        self._rival = None if is_clear else other.state
+        self._legs_wait = numbers.turn_frames if is_clear else 1
+        return now
 
     def restart(self, searched: Candidates, rng: np.random.Generator) -> Candidates:
         """A pose found anew where the body is lost, or has come back after a while."""
@@ -307,6 +333,7 @@ class OnePose:
         is_due = self.settings.look_again and (self._has_returned or self._loss.is_due(self._row, now.value))
         if is_due:
             now = self._restarted(now, rng)
+            self._rival = self._rival if now is searched[0] else None
         self._loss.note(now.state, now.value)
         return [now]
 
@@ -338,6 +365,7 @@ class OnePose:
         fit = self._evidence.fit(now.state, self._info.observed_parts)
         self._hidden_std = np.where(fit.judged, 0.0, self._hidden_std + self.tools.noise_std[0])
         blind_m = self.settings.method.follow.blind_std_m
+        doubtful, doubt_std = in_doubt(self.tools.body, now.state, self._rival, self.settings.method.legs)
         return FramePose(
             row=self._row,
             state=now.state,
@@ -347,11 +375,12 @@ class OnePose:
             misfit=fit.misfit,
             unexplained=fit.unexplained,
             blind_std=0.0,
-            hidden_std=np.where(fit.judged, 0.0, np.hypot(blind_m, self._hidden_std)),
-            observed=fit.observed,
+            hidden_std=np.hypot(np.where(fit.judged, 0.0, np.hypot(blind_m, self._hidden_std)), doubt_std),
+            observed=fit.observed & ~doubtful,
             log_likelihood=fit.log_likelihood,
             evidence=now.value,
             ess_share=float(self._info.ess[-1]) / len(self._particles.weights),
+            doubtful=doubtful,
         )
 
 

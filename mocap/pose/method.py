@@ -27,6 +27,8 @@ class EvidenceSettings(_Strict):
 
     crop_margin_m: float = 0.3
     """How far beyond the hull particles may meet themselves."""
+    hidden_reach_m: float = 0.9
+    """How far beyond the hull hidden limbs may lie where nothing is known: the length of a leg."""
     min_voxels: int = 200
     """Fewer (1.6 litres at 2 cm) are no body: the pose is carried on instead."""
     nats_per_m2: float = 90_000.0
@@ -175,6 +177,26 @@ class LimbSearchSettings(_Strict):
     """A landmark may move so fast without cost (`pose.jump_nats`)."""
     jump_m: float = 0.25
     """A jump by this much beyond the free speed costs all that a jump can cost."""
+
+
+@dataclass(frozen=True)
+class LegsSettings(_Strict):
+    """Whether each leg is where it is, or where the other one is."""
+
+    turn_frames: int = 6
+    """Frames between looks, while legs are seen and told apart."""
+    n_iterations: int = 12
+    """Of the refinement of the exchanged legs."""
+    better_nats: float = 3.0
+    """Exchanged legs must be better by this much."""
+    clear_nats: float = 5.0
+    """Legs are told apart when exchanged ones are worse by this much. For legs that were right it was 8 nats at the
+    least, 15 to 50 usually; exchanged ones gained 6 to 20 by the exchange back (a walk past low cupboards)."""
+    apart_m: float = 0.1
+    """A landmark that is nearer than this to its place in a pose which explains the frame almost as well is not in
+    doubt."""
+    std_per_apart: float = 0.4
+    """Standard deviation per distance to that place: its 90 % region reaches there."""
 
 
 @dataclass(frozen=True)
@@ -541,6 +563,7 @@ class Method(_Strict):
     start: StartSettings = StartSettings()
     follow: FollowSettings = FollowSettings()
     limb_search: LimbSearchSettings = LimbSearchSettings()
+    legs: LegsSettings = LegsSettings()
     restart: RestartSettings = RestartSettings()
     repair: RepairSettings = RepairSettings()
     size: SizeSettings = SizeSettings()

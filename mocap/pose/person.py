@@ -13,6 +13,7 @@ from mocap.body.initial import HeightEstimate
 from mocap.pose.deviation import FrameSeries, landmark_covariances
 from mocap.pose.evidence import PersonClip
 from mocap.pose.follow import FramePose, both_ways, follow_pose, unbroken
+from mocap.pose.limbs import in_doubt
 from mocap.pose.repair import EvidenceOf, repair_limbs
 from mocap.pose.result import PersonPoses, warnings_of_volumes
 from mocap.pose.size import fit_size
@@ -192,7 +193,9 @@ def follow_person(
         clip.person,
         n_blind=len(clip) - start.n_usable,
         series=series,
+        frames=clip.frames,
         observed=observed,
+        doubtful=np.array([pose.doubtful for pose in poses]),
         log_likelihood=log_likelihood,
         height=start.height,
         is_facing_open=len(trial) > 1 and abs(trial[0] - trial[1]) < numbers.clear_facing_nats,
@@ -257,16 +260,28 @@ def _repair(clip: VolumeClip, poses: list[FramePose]) -> None:
     for row, state in repaired.items():
         evidence = evidence_of(row)
         if evidence is not None:
-            fit = evidence.fit(state)
-            poses[row] = replace(
-                poses[row],
-                state=state,
-                information=fit.information,
-                misfit=fit.misfit,
-                unexplained=fit.unexplained,
-                log_likelihood=fit.log_likelihood,
-                observed=fit.observed,
-            )
+            poses[row] = _with_state(poses[row], state, evidence)
+
+
+def _with_state(pose: FramePose, state: Array, evidence: VolumeEvidence) -> FramePose:
+    """A frame's pose with another state (D,); what the old one explains about as well is in doubt."""
+    numbers = evidence.tools.settings.method.legs
+    fit, old = evidence.fit(state), pose.state
+    new_nats, old_nats = evidence.evidence([state, old])
+    is_clear = new_nats > old_nats + numbers.clear_nats
+    doubtful, doubt_std = in_doubt(evidence.tools.body, state, None if is_clear else old, numbers)
+    doubtful = doubtful | pose.doubtful
+    return replace(
+        pose,
+        state=state,
+        information=fit.information,
+        misfit=fit.misfit,
+        unexplained=fit.unexplained,
+        log_likelihood=fit.log_likelihood,
+        hidden_std=np.maximum(pose.hidden_std, doubt_std),
+        observed=fit.observed & ~doubtful,
+        doubtful=doubtful,
+    )
 
 
 def series_of(poses: Sequence[FramePose]) -> FrameSeries:

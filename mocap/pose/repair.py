@@ -1,4 +1,4 @@
-"""Repair: limbs that jump from one frame to the next, carried over from the side that was right.
+"""Repair: limbs that jump from one frame to the next, alone or both legs, carried over from the side that was right.
 
 The filter finds a lost limb again sooner or later, and it may lose one between two frames; what it knew on one side of
 such a jump is carried to the other, frame by frame, for as long as the evidence gains by it.
@@ -6,15 +6,14 @@ such a jump is carried to the other, frame by frame, for as long as the evidence
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, landmarks_of
-from mocap.data.problem import limbs_of
 from mocap.pose.evidence import FrameEvidence
+from mocap.pose.limbs import Limb, legs_of, limbs_with_landmarks
 from mocap.pose.method import RepairSettings
 
 Array = NDArray[np.float64]
@@ -29,17 +28,19 @@ def repair_limbs(
     states : (T, D), consecutive frames.  evidence_of : row -> what poses are judged by there, or None where nothing is
     seen.
     """
-    limbs = _limbs(body)
+    legs = legs_of(body)
+    # Legs that have changed places come back together or not at all.
+    groups = [*([legs] if legs else []), *((limb,) for limb in limbs_with_landmarks(body))]
     furthest_m = settings.jump_m + settings.fast_m_s / fps
     found: dict[int, Array] = {}
     current = states.copy()
     for step in (-1, 1):
         rows = range(len(states) - 1, 0, -1) if step < 0 else range(len(states) - 1)
         for row in rows:
-            for limb in limbs:
-                if _gap(body, current[row], current[row + step], limb) < furthest_m:
+            for group in groups:
+                if min(_gap(body, current[row], current[row + step], limb) for limb in group) < furthest_m:
                     continue
-                for at, state in _carried(body, current, row, step, limb, evidence_of, settings):
+                for at, state in _carried(body, current, row, step, group, evidence_of, settings):
                     current[at] = found[at] = state
     return found
 
@@ -49,13 +50,13 @@ def _carried(
     states: Array,
     row: int,
     step: int,
-    limb: _Limb,
+    group: Sequence[Limb],
     evidence_of: EvidenceOf,
     settings: RepairSettings,
 ) -> list[tuple[int, Array]]:
-    """The limb of a row carried in the direction of step: the new states of the frames that gain by it."""
+    """The limbs of a row carried in the direction of step: the new states of the frames that gain by it."""
     chain: list[tuple[int, Array]] = []
-    source = states[row]
+    source, columns = states[row], np.concatenate([limb.columns for limb in group])
     gain, best, n_best = 0.0, 0.0, 0
     at = row + step
     while 0 <= at < len(states):
@@ -63,11 +64,11 @@ def _carried(
         if evidence is None:
             break
         mixed = states[at].copy()
-        mixed[limb.columns] = source[limb.columns]
+        mixed[columns] = source[columns]
         candidate = evidence.all_refined([mixed], settings.n_iterations)[0]
         new, old = evidence.evidence([candidate, states[at]])
         gain += float(np.clip(new - old, -settings.largest_nats, settings.largest_nats))
-        is_joined = _gap(body, candidate, states[at], limb) < settings.same_m
+        is_joined = max(_gap(body, candidate, states[at], limb) for limb in group) < settings.same_m
         if is_joined:
             gain += settings.joined_nats
         chain.append((at, candidate))
@@ -80,25 +81,7 @@ def _carried(
     return chain[:n_best]
 
 
-@dataclass(frozen=True, eq=False)
-class _Limb:
-    """columns : of the state.  landmarks : indices."""
-
-    columns: NDArray[np.int64]
-    landmarks: NDArray[np.int64]
-
-
-def _limbs(body: Body) -> list[_Limb]:
-    """The limbs that have columns and landmarks."""
-    layout, parts = body.layout, body.landmark_parts
-    found = [
-        _Limb(np.flatnonzero(np.isin(layout.part_of_column, limb)), np.flatnonzero(np.isin(parts, limb)))
-        for limb in limbs_of(layout)
-    ]
-    return [limb for limb in found if len(limb.columns) and len(limb.landmarks)]
-
-
-def _gap(body: Body, a: Array, b: Array, limb: _Limb) -> float:
+def _gap(body: Body, a: Array, b: Array, limb: Limb) -> float:
     """Largest distance between a limb's landmarks in two poses, on the body of the second, m."""
     mixed = b.copy()
     mixed[limb.columns] = a[limb.columns]

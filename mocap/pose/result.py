@@ -68,7 +68,9 @@ def warnings_of_volumes(
     *,
     n_blind: int,
     series: FrameSeries,
+    frames: NDArray[np.int64],
     observed: NDArray[np.bool_],
+    doubtful: NDArray[np.bool_],
     log_likelihood: Array,
     height: HeightEstimate,
     is_facing_open: bool,
@@ -76,7 +78,8 @@ def warnings_of_volumes(
 ) -> list[str]:
     """What the user has to know of poses found in volumes.
 
-    n_blind : frames without a usable hull.  is_facing_open : two first poses explained the volumes almost equally well.
+    n_blind : frames without a usable hull.  doubtful : (T, M) bool, landmarks that another pose, which explains its
+    frame about as well, has elsewhere.  is_facing_open : two first poses explained the volumes almost equally well.
     crowded_share : share of the hull's surface that nothing explains, from which poses are uncertain.
     """
     n_total = len(series)
@@ -92,6 +95,15 @@ def warnings_of_volumes(
             f"person {person}: in {n_crowded} of {n_total} frames the body explains less than "
             f"{100 - 100 * crowded_share:.0f} % of the volume, as when others or things are in it or few cameras see "
             "the person; poses are uncertain there"
+        )
+    if doubtful.any():
+        names = [
+            name for name, own in zip(landmark_names(doubtful.shape[1]), doubtful.T, strict=True) if own.any()
+        ]
+        when = _told(frames[doubtful.any(axis=1)])
+        warnings.append(
+            f"person {person}: {', '.join(names)} may be elsewhere in frames {when}: another pose explains the volume "
+            "about as well there, as when legs cross behind furniture. They are marked as not observed"
         )
     seldom = _seldom_observed(observed, log_likelihood)
     if seldom:
@@ -111,6 +123,13 @@ def warnings_of_volumes(
             "almost equally well); left and right may be exchanged"
         )
     return warnings
+
+
+def _told(frames: NDArray[np.int64], most: int = 6) -> str:
+    """Ascending frames in words: `4-9, 31, 40-44`, the first of them only where there are many."""
+    pieces = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
+    words = [f"{p[0]}-{p[-1]}" if len(p) > 1 else f"{p[0]}" for p in pieces[:most]]
+    return ", ".join(words) + (" and others" if len(pieces) > most else "")
 
 
 def _seldom_observed(observed: NDArray[np.bool_], log_likelihood: Array) -> list[str]:

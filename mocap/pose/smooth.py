@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body
 from mocap.body.kinematics import point_jacobian
-from mocap.data import StateLayout
 from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.smoother import smooth_points
 from mocap.pose.deviation import FrameSeries, astray_variance, limb_misfit
 from mocap.pose.method import Method
+from mocap.pose.point_fit import PointFit
 
 Array = NDArray[np.float64]
 
@@ -40,35 +37,11 @@ def smooth_motion(body: Body, series: FrameSeries, fps: float, lag: int, method:
         prior_std=np.full(body.layout.n_columns, 1e3), residual_std_m=1.0, n_iterations=numbers.n_iterations
     )
     for i in range(len(series)):
-        problem = _PointFit(body, joint, offset, smoothed[i])
+        problem = PointFit(body, joint, offset, smoothed[i])
         starts = [series.states[i], *([states[i - 1]] if i else [])]
         start = min(starts, key=problem.cost)
         states[i] = refine(problem, start, settings)[0]
     return states
-
-
-@dataclass(frozen=True, eq=False)
-class _PointFit:
-    """A body fitted to places (K, 3) m of points on its joints: implements `ResidualProblem`."""
-
-    body: Body
-    joint: NDArray[np.int64]
-    offset: Array
-    places: Array
-
-    @cached_property
-    def layout(self) -> StateLayout:
-        return self.body.layout
-
-    def cost(self, state: Array) -> float:
-        points, _, _ = point_jacobian(self.body, state, self.joint, self.offset)
-        return 0.5 * float(((points - self.places) ** 2).sum())
-
-    def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
-        points, J, _ = point_jacobian(self.body, state, self.joint, self.offset)
-        r = (points - self.places).ravel()
-        A = J.reshape(len(r), -1)
-        return 0.5 * float(r @ r), A.T @ A, A.T @ r
 
 
 def _handles(body: Body, handle_m: float) -> tuple[NDArray[np.int64], Array]:

@@ -84,16 +84,22 @@ def pack_volume(
     surface_sigma_voxels: float,
     margin_m: float = EvidenceSettings.crop_margin_m,
 ) -> PackedVolume:
-    """The crop that the likelihood reads, with room for particles around the hull.
+    """The crop that the likelihood reads, with room for particles around the hull and for hidden limbs in the unknown.
 
     An unknown voxel may be flesh or air, surface or none: a body part may lie there as in a hull, and is not drawn in.
     """
     margin = int(np.ceil(margin_m / grid.voxel_size_m))
-    subs = grid.subscripts(hull.voxels)
-    lower = subs.min(axis=0) - margin
-    upper = subs.max(axis=0) + margin + 1
+    subs, unknown = grid.subscripts(hull.voxels), grid.subscripts(hull.unknown)
+    lower, upper = subs.min(axis=0) - margin, subs.max(axis=0) + margin + 1
+    if len(unknown):
+        reach = int(np.ceil(EvidenceSettings.hidden_reach_m / grid.voxel_size_m))
+        near = unknown[
+            np.all((unknown >= subs.min(axis=0) - reach) & (unknown <= subs.max(axis=0) + reach), axis=1)
+        ]
+        if len(near):
+            lower, upper = np.minimum(lower, near.min(axis=0) - 1), np.maximum(upper, near.max(axis=0) + 2)
     crop = surface_map(hull.voxels, hull.is_surface, grid, lower, upper, surface_sigma_voxels)
-    at = grid.subscripts(hull.unknown) - lower
+    at = unknown - lower
     at = at[np.all((at > 0) & (at < np.array(crop.shape) - 1), axis=1)]
     crop[tuple(at.T)] |= OCCUPIED_BIT | _HALF_SURFACE
     return PackedVolume(crop, lower.astype(np.int64), grid)

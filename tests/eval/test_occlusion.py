@@ -39,11 +39,11 @@ def test_hidden_from_all_is_hidden_by_others_not_by_oneself(tmp_path: Path) -> N
     observed[1, 0] = False
     found = _motion(n, observed=observed, std=np.full((n, len(LANDMARKS), 3), 0.02))
     write_landmarks_csv(tmp_path / "landmarks.csv", [found])
-    assert hidden_landmarks(tmp_path, tmp_path) == (3, 2)
+    assert hidden_landmarks(tmp_path, tmp_path) == (3, 2, 100.0)
 
 
 def test_a_truth_that_does_not_say_who_sees_what(tmp_path: Path) -> None:
-    assert hidden_landmarks(tmp_path, tmp_path) == (None, None)
+    assert hidden_landmarks(tmp_path, tmp_path) == (None, None, None)
 
 
 def test_means_are_over_seeds() -> None:

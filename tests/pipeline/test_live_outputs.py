@@ -24,7 +24,7 @@ PLACES = np.arange(3.0 * N).reshape(N, 3) / 7
 POSE = FramePose(
     row=3, state=np.zeros(5), landmarks=PLACES, information=np.zeros((5, 5)), spread=np.zeros((N, 3, 3)),
     misfit=np.zeros(2), unexplained=0.0, blind_std=0.0, hidden_std=np.zeros(N), observed=np.arange(N) % 2 == 0,
-    log_likelihood=-1.0, evidence=-2.0, ess_share=0.5,
+    log_likelihood=-1.0, evidence=-2.0, ess_share=0.5, doubtful=np.zeros(N, dtype=bool),
 )  # fmt: skip
 BODY = scale_body(load_body_model(load_config().body_model("voxels")), 1.7654)
 FOLLOWED = PersonResult(2, np.array([0.5, -0.25, 1.0]), BODY, POSE, np.linspace(0.01, 0.02, N))

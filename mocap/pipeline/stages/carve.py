@@ -44,7 +44,7 @@ _EMPTY_SHARE = 0.1
 _GAP_S = 0.5  # a shorter one is bridged by the track
 _MOST_GAPS = 3  # that are named one by one
 _MIN_CAMERAS = 3
-_AROUND_M = 0.3  # how far from a hull the unknown is of interest
+_AROUND_M = 0.9  # how far from a hull the unknown is of interest: the length of a hidden leg
 _REMEDIES = {
     "moved": "calibrate it again from that frame on, or leave these frames out",
     "lag": "shift its clip by that many frames",

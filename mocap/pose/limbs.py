@@ -1,0 +1,87 @@
+"""Limbs of a body with their landmarks, and legs that have taken each other's place.
+
+A follower can take one leg for the other where they cross behind something, and no search for a single limb brings
+both back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body import Body, landmarks_of
+from mocap.data.problem import limbs_of
+from mocap.filters.refine import RefineSettings, refine
+from mocap.pose.evidence import FrameEvidence
+from mocap.pose.method import LegsSettings
+from mocap.pose.point_fit import PointFit
+
+Array = NDArray[np.float64]
+
+_LEG = ("knee", "ankle", "heel", "toe")
+_HELD_STD, _FREE_STD = 1e-3, 1e3  # of columns that stay and that move, against residuals of 1 m
+_N_ITERATIONS = 12  # legs are within a centimetre of each other's places after six
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """columns : of the state.  landmarks : indices."""
+
+    columns: NDArray[np.int64]
+    landmarks: NDArray[np.int64]
+
+
+def limbs_with_landmarks(body: Body) -> list[Limb]:
+    """The limbs that have columns and landmarks."""
+    layout, parts = body.layout, body.landmark_parts
+    found = [
+        Limb(np.flatnonzero(np.isin(layout.part_of_column, limb)), np.flatnonzero(np.isin(parts, limb)))
+        for limb in limbs_of(layout)
+    ]
+    return [limb for limb in found if len(limb.columns) and len(limb.landmarks)]
+
+
+def legs_of(body: Body) -> tuple[Limb, Limb] | None:
+    """Left and right leg with the landmarks below the hip, in this order; None for a body that has not two of them."""
+    sides = []
+    for side in ("left", "right"):
+        names = [f"{side}_{name}" for name in _LEG]
+        landmarks = np.array([body.landmarks.index(name) for name in names if name in body.landmarks])
+        own = [limb for limb in limbs_with_landmarks(body) if np.isin(landmarks, limb.landmarks).all()]
+        sides += [Limb(limb.columns, landmarks) for limb in own]
+    return (sides[0], sides[1]) if len(sides) == 2 and sides[0].columns[0] != sides[1].columns[0] else None
+
+
+def legs_exchanged(evidence: FrameEvidence, state: Array) -> Array | None:
+    """A state (D,) with each leg where the other one is, moved to a nearby minimum of the residuals; None for a body
+    that has not two legs.
+    """
+    body, settings = evidence.tools.body, evidence.tools.settings
+    legs = legs_of(body)
+    if legs is None or not settings.refine:
+        return None
+    left, right = legs
+    places = landmarks_of(body, state[None])[0]
+    targets = np.concatenate([places[right.landmarks], places[left.landmarks]])
+    own = np.concatenate([left.landmarks, right.landmarks])
+    problem = PointFit(body, body.landmark_joint[own], body.landmark_offset[own], targets)
+    prior_std = np.full(body.layout.n_columns, _HELD_STD)
+    prior_std[left.columns] = prior_std[right.columns] = _FREE_STD
+    exchanged = refine(problem, state, RefineSettings(prior_std, 1.0, _N_ITERATIONS))[0]
+    return evidence.all_refined([exchanged], settings.method.legs.n_iterations)[0]
+
+
+def in_doubt(
+    body: Body, state: Array, rival: Array | None, settings: LegsSettings
+) -> tuple[NDArray[np.bool_], Array]:
+    """Which landmarks are in doubt because a rival pose (D,) has them elsewhere, (M,) bool, and the standard deviation
+    of each that covers both places, (M,) m.
+    """
+    if rival is None:
+        return np.zeros(len(body.landmarks), dtype=np.bool_), np.zeros(len(body.landmarks))
+    both = landmarks_of(body, np.stack([state, rival]))
+    apart = np.linalg.norm(both[0] - both[1], axis=1)
+    is_apart = apart > settings.apart_m
+    return is_apart, np.where(is_apart, settings.std_per_apart * apart, 0.0)
