@@ -1,5 +1,6 @@
 """Background model, segmentation with shadow test, mask clean-up, refinement, quality of masks."""
 
+from mocap.foreground.fit import Fit, fit_background, unfitted
 from mocap.foreground.model import Background, learn_background, median_background
 from mocap.foreground.quality import MaskQuality, mask_quality, triples_of
 from mocap.foreground.recording import (
@@ -14,6 +15,7 @@ from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segment
 
 __all__ = [
     "Background",
+    "Fit",
     "ForegroundMask",
     "ForegroundSettings",
     "KeyPictures",
@@ -22,6 +24,7 @@ __all__ = [
     "background_of_recording",
     "clean_mask",
     "first_cuts",
+    "fit_background",
     "key_pictures",
     "learn_background",
     "mask_quality",
@@ -29,4 +32,5 @@ __all__ = [
     "reduction_of",
     "refine_mask",
     "triples_of",
+    "unfitted",
 ]

@@ -83,3 +83,35 @@ def test_somebody_who_never_moves_is_said(root: Path, tmp_path: Path) -> None:
     warnings: list[str] = []
     learn_backgrounds(open_session(still), CONFIG, warnings)
     assert any("nobody moves in this recording" in w for w in warnings)
+
+
+def test_empty_clips_of_another_day_are_named_and_harm_nobody(root: Path, tmp_path: Path) -> None:
+    """One of another camera, one with a person in it, one of a camera that was pushed and exposed otherwise."""
+    session = tmp_path / "session"
+    shutil.copytree(root, session)
+    source = open_session(small_session(root.parents[1]))
+    clips = {camera: list(iter_clip(source.background_sources[camera])) for camera in CAMERAS}
+    clips[CAMERAS[0]] = clips[CAMERAS[2]]
+    stands = (slice(SIZE[1] // 3, 3 * SIZE[1] // 4), slice(SIZE[0] // 12, SIZE[0] // 6))
+    for picture in clips[CAMERAS[1]]:
+        picture[stands] = (150, 40, 40)
+    push = np.array([[1.0, 0.0, 3.0], [0.0, 1.0, 0.0]])
+    clips[CAMERAS[3]] = [
+        (0.7 * cv2.warpAffine(picture, push, SIZE, borderMode=cv2.BORDER_REPLICATE)).astype(np.uint8)
+        for picture in clips[CAMERAS[3]]
+    ]
+    for camera, pictures in clips.items():
+        (session / "background" / camera).mkdir(parents=True)
+        for i, picture in enumerate(pictures):
+            path = session / "background" / camera / f"{i:03d}.png"
+            assert cv2.imwrite(str(path), np.ascontiguousarray(picture[:, :, ::-1]))
+    opened, warnings = open_session(session), list[str]()
+    backgrounds = learn_backgrounds(opened, CONFIG, warnings)
+    assert [b.kind for b in backgrounds] == ["recording", "clip", "clip", "clip"]
+    for camera, what in zip(
+        CAMERAS, ("another place", "stands what is not", None, "was shifted"), strict=True
+    ):
+        said = [w for w in warnings if w.startswith(f"camera {camera}: ") and f"background/{camera}" in w]
+        assert len(said) == (what is not None), warnings
+        assert all(what in w and "Remedy" in w for w in said)
+    assert iou(opened, backgrounds) > MIN_IOU

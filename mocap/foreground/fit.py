@@ -1,0 +1,161 @@
+"""A background from a clip of its own, held against the recording: moved, of another place, or not empty.
+
+The empty clip may be of another day. Its light is divided out picture by picture while the recording is segmented; the
+rest is put right here, before: a camera that was pushed by some pixels, somebody or something that stood there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.arrays import Image, Mask
+from mocap.foreground.model import Background
+
+LEAST_PICTURES = 3  # fewer do not tell what stands still from who walks past
+_FAR = 20  # levels, after the light is divided out: something else is seen
+_LEAST_SHIFT_PX, _MOST_SHIFT_PX = 0.4, 12.0  # of 640; below it the tolerance at edges is enough
+_BETTER = 0.8  # times the difference that a shift must leave at most
+# Of another place: correlation of the fine structure, and share of the picture that differs in every picture. Clips
+# that belong to their recording have 0.77 to 0.99 (the realistic sessions, gesture, a real one) and 0 to 0.09, those of
+# another camera or a zoom by 8 % have at most 0.28, and 0.01 to 0.3.
+_LEAST_LIKENESS, _LEAST_DIFFERING = 0.4, 0.005
+_LEAST_TEXTURE = 1.5  # levels; rooms have 3 to 7. Bare walls are alike everywhere
+_STRONGER = (
+    1.5  # edges round what stands in one of two pictures, over those of the other picture at the same place
+)
+_LEAST_THING_PX = 150.0  # of 640 x 480
+_RIM_PX = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """How a background fits a recording.
+
+    background : shifted, and without what has gone.
+    shift_px : (right, down) by which the clip was moved.  gone : (H, W) bool, where something stood in the clip that is
+    not in the recording.  is_elsewhere : the clip shows another place, or the same through another lens; background is
+    then as it was.
+    """
+
+    background: Background
+    shift_px: tuple[float, float]
+    gone: Mask
+    is_elsewhere: bool
+
+
+def unfitted(background: Background) -> Fit:
+    """A background as it is, where there is nothing to fit it to."""
+    return Fit(
+        background, (0.0, 0.0), np.zeros(background.mean.shape[:2], dtype=np.bool_), is_elsewhere=False
+    )
+
+
+def fit_background(background: Background, pictures: Sequence[Image]) -> Fit:
+    """A background of a clip of its own, fitted to pictures of the recording.
+
+    pictures : (H, W, 3) uint8, at least LEAST_PICTURES, some seconds apart, with persons or without.
+    Raises ValueError for fewer, or for another shape.
+    """
+    if len(pictures) < LEAST_PICTURES:
+        raise ValueError(f"pictures: expected at least {LEAST_PICTURES}, got {len(pictures)}")
+    if any(picture.shape != background.mean.shape for picture in pictures):
+        raise ValueError(f"pictures: expected shape {background.mean.shape}, got {pictures[0].shape}")
+    stack = np.stack([_in_light_of(background.mean, picture) for picture in pictures])
+    usual = np.median(stack, axis=0).astype(np.float32)
+    shift = _shift(background.mean, usual)
+    moved = background
+    if shift != (0.0, 0.0):
+        moved = replace(
+            background, mean=_shifted(background.mean, shift), std=_shifted(background.std, shift)
+        )
+    differs = (np.abs(stack - moved.mean).max(axis=3) > _FAR).all(axis=0)
+    if _is_unlike(moved.mean, usual) and differs.mean() > _LEAST_DIFFERING:
+        return replace(unfitted(background), is_elsewhere=True)
+    gone = _gone(differs, moved.mean, usual)
+    if gone.any():
+        mean, std = moved.mean.copy(), moved.std.copy()
+        mean[gone] = usual[gone]
+        spread = 1.4826 * np.median(
+            np.abs(stack[:, gone] - usual[gone]), axis=0
+        )  # of noise; who walks past is left out
+        std[gone] = np.maximum(np.median(moved.std), spread)
+        moved = replace(moved, mean=mean, std=std)
+    return Fit(moved, shift, gone, is_elsewhere=False)
+
+
+def _in_light_of(mean: NDArray[np.float32], picture: Image) -> NDArray[np.float32]:
+    """The picture with its light, channel by channel, as that of the background."""
+    some = (slice(None, None, 8), slice(None, None, 8))
+    gain = np.median((picture[some] + np.float32(1)) / (mean[some] + np.float32(1)), axis=(0, 1))
+    return np.clip(picture / np.clip(gain, 0.3, 3.0), 0, 255).astype(np.float32)
+
+
+def _grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Fine structure of a picture: its brightness less that of the surroundings, cut off at both ends."""
+    grey = picture.mean(axis=2)
+    return np.clip(grey - cv2.GaussianBlur(grey, (0, 0), 8.0), -_FAR, _FAR)
+
+
+def _is_unlike(mean: NDArray[np.float32], usual: NDArray[np.float32]) -> bool:
+    """Whether the fine structures of two pictures do not correlate, as far as there are any."""
+    a, b = (cv2.GaussianBlur(_grey(picture), (0, 0), 1.0) for picture in (mean, usual))
+    texture = min(float(np.sqrt(np.mean(image * image))) for image in (a, b))
+    return texture > _LEAST_TEXTURE and float((a * b).sum()) < _LEAST_LIKENESS * float(
+        np.sqrt((a * a).sum() * (b * b).sum())
+    )
+
+
+def _shift(mean: NDArray[np.float32], usual: NDArray[np.float32]) -> tuple[float, float]:
+    """By how many pixels (right, down) the background must move to fit; zeros where that is not clear or too little."""
+    a, b = _grey(mean), _grey(usual)
+    height, width = a.shape
+    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+    (right, down), _ = cv2.phaseCorrelate(a, b, window)
+    scale = width / 640
+    if not _LEAST_SHIFT_PX * scale <= np.hypot(right, down) <= _MOST_SHIFT_PX * scale:
+        return 0.0, 0.0
+    edge = int(np.ceil(_MOST_SHIFT_PX * scale))
+    inner = (slice(edge, -edge), slice(edge, -edge))
+    before, after = (
+        np.minimum(np.abs(picture[inner] - usual[inner]), _FAR).mean()
+        for picture in (mean, _shifted(mean, (right, down)))
+    )
+    return (float(right), float(down)) if after < _BETTER * before else (0.0, 0.0)
+
+
+def _shifted(picture: NDArray[np.float32], shift: tuple[float, float]) -> NDArray[np.float32]:
+    matrix = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    return cv2.warpAffine(
+        picture, matrix, picture.shape[1::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    ).astype(np.float32)
+
+
+def _gone(differs: Mask, mean: NDArray[np.float32], usual: NDArray[np.float32]) -> Mask:
+    """Regions that differ in every picture and stand in the clip, with their rims.
+
+    What stands somewhere has edges round it; where it does not stand the room goes on. Who stands in the recording, and
+    holds still, keeps his place this way.
+    """
+    out = np.zeros(differs.shape, dtype=np.bool_)
+    opened = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    n, labels, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=8)
+    then, now = (_edges(picture) for picture in (mean, usual))
+    for i in range(1, n):
+        if stats[i, cv2.CC_STAT_AREA] < _LEAST_THING_PX * differs.size / (640 * 480):
+            continue
+        region = (labels == i).astype(np.uint8)
+        rim = cv2.morphologyEx(region, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)) > 0
+        if then[rim].mean() > _STRONGER * now[rim].mean():
+            out |= cv2.dilate(region, np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)) > 0
+    return out
+
+
+def _edges(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Steepness of the brightness, (H, W)."""
+    grey = picture.mean(axis=2)
+    return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))

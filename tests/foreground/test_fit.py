@@ -1,0 +1,132 @@
+"""An empty clip of another day: pushed, in other light, of another place, through another lens, with somebody in it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from mocap.foreground import Background, Segmenter, fit_background, learn_background
+
+H, W = 240, 320
+SHIFT_PX = (2.3, -1.4)
+OFF_PX = 0.2
+N_PICTURES = 8
+STANDS = (slice(90, 200), slice(140, 180))
+
+
+def room(seed: int = 0) -> np.ndarray:
+    """Walls with blotches and joints, (H + 40, W + 40, 3), so that it can be pushed and enlarged."""
+    rng = np.random.default_rng(seed)
+    picture = np.full((H + 40, W + 40, 3), (130.0, 120.0, 110.0))
+    blotches = cv2.GaussianBlur(rng.normal(0, 1, picture.shape[:2]), (0, 0), 6)
+    picture += (14 * blotches / blotches.std())[:, :, None]
+    for k in range(10, H + 40, 45):
+        picture[k : k + 2] -= 30
+    for k in range(25, W + 40, 60):
+        picture[:, k : k + 2] -= 30
+    return picture
+
+
+def seen(
+    scene: np.ndarray, rng: np.random.Generator, *, push: tuple[float, float] = (0.0, 0.0), gain: float = 1.0
+) -> np.ndarray:
+    """What a camera shows of the scene that was pushed by so many pixels."""
+    matrix = np.array([[1.0, 0.0, push[0] - 20], [0.0, 1.0, push[1] - 20]])
+    picture = cv2.warpAffine(scene, matrix, (W, H)) * gain
+    return np.clip(picture + rng.normal(0, 2.0, picture.shape), 0, 255).astype(np.uint8)
+
+
+def recording(scene: np.ndarray, rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Pictures of somebody who walks by, and his silhouettes."""
+    pictures, truth = [], []
+    for k in range(N_PICTURES):
+        picture, mask = seen(scene, rng), np.zeros((H, W), dtype=bool)
+        mask[80:210, 20 + 30 * k : 55 + 30 * k] = True
+        picture[mask] = np.clip(rng.normal((60, 70, 140), 3, (mask.sum(), 3)), 0, 255).astype(np.uint8)
+        pictures.append(picture)
+        truth.append(mask)
+    return pictures, truth
+
+
+def iou(background: Background, pictures: list[np.ndarray], truth: list[np.ndarray]) -> float:
+    segmenter = Segmenter(background)
+    masks = [segmenter.segment(picture).mask for picture in pictures]
+    hit = sum(np.count_nonzero(m & t) for m, t in zip(masks, truth, strict=True))
+    return hit / sum(np.count_nonzero(m | t) for m, t in zip(masks, truth, strict=True))
+
+
+@pytest.mark.parametrize("n_pictures", [1, 20])
+def test_a_clip_or_still_that_is_pushed_and_darker_is_put_right(n_pictures: int) -> None:
+    rng = np.random.default_rng(1)
+    pictures, truth = recording(room(), rng)
+    pushed = learn_background(seen(room(), rng, push=SHIFT_PX, gain=0.7) for _ in range(n_pictures))
+    fit = fit_background(pushed, pictures)
+    assert not fit.is_elsewhere
+    assert fit.shift_px == pytest.approx((-SHIFT_PX[0], -SHIFT_PX[1]), abs=OFF_PX)
+    assert not fit.gone.any()
+    right = learn_background(seen(room(), rng) for _ in range(n_pictures))
+    assert iou(pushed, pictures, truth) < 0.85
+    assert iou(fit.background, pictures, truth) > iou(right, pictures, truth) - 0.03
+
+
+def test_a_clip_that_fits_is_left_alone() -> None:
+    rng = np.random.default_rng(2)
+    pictures, _ = recording(room(), rng)
+    background = learn_background(seen(room(), rng) for _ in range(20))
+    fit = fit_background(background, pictures)
+    assert fit.background is background
+    assert (fit.shift_px, fit.is_elsewhere, fit.gone.any()) == ((0.0, 0.0), False, False)
+
+
+@pytest.mark.parametrize("what", ["another room", "another lens"])
+def test_another_place_and_another_lens_are_told(what: str) -> None:
+    rng = np.random.default_rng(3)
+    pictures, _ = recording(room(), rng)
+    other = room(7) if what == "another room" else cv2.resize(room(), None, fx=1.1, fy=1.1)
+    background = learn_background(seen(other, rng) for _ in range(20))
+    fit = fit_background(background, pictures)
+    assert fit.is_elsewhere
+    assert fit.background is background
+
+
+def test_bare_walls_are_no_other_place() -> None:
+    rng = np.random.default_rng(4)
+    bare = np.full((H + 40, W + 40, 3), 120.0)
+    pictures, _ = recording(bare, rng)
+    for picture in pictures:
+        picture[STANDS] = (50, 60, 90)
+    assert not fit_background(learn_background(seen(bare, rng) for _ in range(20)), pictures).is_elsewhere
+
+
+def test_who_stands_in_the_empty_clip_leaves_no_ghost() -> None:
+    rng = np.random.default_rng(5)
+    pictures, truth = recording(room(), rng)
+    clip = [seen(room(), rng) for _ in range(20)]
+    for picture in clip:
+        picture[STANDS] = (150, 60, 50)
+    background = learn_background(clip)
+    fit = fit_background(background, pictures)
+    assert fit.gone[STANDS].all()
+    assert fit.gone.sum() < 2 * fit.gone[STANDS].size
+    assert iou(background, pictures, truth) < 0.8 < 0.9 < iou(fit.background, pictures, truth)
+
+
+def test_who_stands_in_the_recording_all_the_time_stays_a_person() -> None:
+    rng = np.random.default_rng(6)
+    pictures, truth = recording(room(), rng)
+    for picture, mask in zip(pictures, truth, strict=True):
+        picture[STANDS] = (150, 60, 50)
+        mask[STANDS] = True
+    fit = fit_background(learn_background(seen(room(), rng) for _ in range(20)), pictures)
+    assert not fit.gone.any()
+    assert iou(fit.background, pictures, truth) > 0.9
+
+
+def test_mistakes_are_named() -> None:
+    rng = np.random.default_rng(8)
+    background = learn_background([seen(room(), rng)])
+    with pytest.raises(ValueError, match="at least 3, got 2"):
+        fit_background(background, [seen(room(), rng)] * 2)
+    with pytest.raises(ValueError, match=r"shape \(240, 320, 3\)"):
+        fit_background(background, [seen(room(), rng)[1:]] * 3)
