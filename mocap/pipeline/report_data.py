@@ -9,7 +9,9 @@ from pathlib import Path
 from mocap.pipeline.figures import run_figures, silhouette_numbers
 from mocap.pipeline.panels import frame_panels
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, printable
-from mocap.view import REPORT_SCORES, ReportData, write_report
+from mocap.pipeline.replay import charts_of, person_summary, replay_of
+from mocap.pose.angles import angles_of
+from mocap.view import REPORT_SCORES, PersonPage, ReportData, write_report
 
 OUTPUT_WORDS = {
     "run.json": "configuration, versions, seed, timings and warnings of this run",
@@ -62,8 +64,19 @@ def write_run_report(result: RunResult, path: Path) -> None:
         config_text=json.dumps(record.config.model_dump(mode="json"), indent=1),
         versions=dict(record.versions),
         silhouettes=silhouettes,
+        replay=replay_of(found) if len(session.frames) else None,
+        people=tuple(_people(record, found)),
     )
     write_report(path, data)
+
+
+def _people(record: RunRecord, found: Found) -> Iterator[PersonPage]:
+    """Curves and numbers of every person."""
+    fps = found.session.fps
+    for poses in found.poses:
+        angles = angles_of(poses, fps, record.config.method.angles)
+        charts = tuple(charts_of(poses, angles, fps))
+        yield PersonPage(f"person {poses.person}", charts, person_summary(poses, angles, fps))
 
 
 def _output_words(names: Iterable[str]) -> Iterator[tuple[str, str]]:

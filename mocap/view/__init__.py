@@ -27,7 +27,7 @@ from mocap.view.plots import (
     plot_stage_timing,
     plot_track_map,
 )
-from mocap.view.report import REPORT_SCORES, FramePanel, ReportData, write_report
+from mocap.view.report import REPORT_SCORES, FramePanel, PersonPage, ReportData, write_report
 from mocap.view.scene import SceneFrame, write_rrd
 
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "Figure",
     "FilterHealth",
     "FramePanel",
+    "PersonPage",
     "ReportData",
     "SceneFrame",
     "contact_sheet",

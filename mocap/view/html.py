@@ -35,21 +35,18 @@ class Figure:
 
 @dataclass(frozen=True)
 class PageSection:
-    """A section of a page.  key : its anchor.  content : HTML."""
+    """A section of a page.  key : its anchor.  content : HTML.  is_folded : opened by who wants to see it."""
 
     key: str
     title: str
     content: str
+    is_folded: bool = False
 
 
 def page_html(title: str, kicker: str, sections: Sequence[PageSection], *, subtitle: str = "") -> str:
     """A whole page: head, navigation, sections, enlarged pictures.  kicker : what kind of page.  subtitle : HTML."""
     navigation = "".join(f'<a href="#{s.key}">{escaped(s.title)}</a>' for s in sections)
-    body = "".join(
-        f'<section id="{s.key}" aria-labelledby="h-{s.key}"><h2 id="h-{s.key}">{escaped(s.title)}</h2>'
-        f"{s.content}</section>"
-        for s in sections
-    )
+    body = "".join(_section(section) for section in sections)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -61,6 +58,14 @@ def page_html(title: str, kicker: str, sections: Sequence[PageSection], *, subti
         '<dialog id="zoom" aria-label="Enlarged picture"><img alt=""><p></p></dialog>'
         f"<script>{_SCRIPT}</script></body></html>\n"
     )
+
+
+def _section(section: PageSection) -> str:
+    head = f'<h2 id="h-{section.key}">{escaped(section.title)}</h2>'
+    content = f"{head}{section.content}"
+    if section.is_folded:
+        content = f"<details><summary>{head}</summary>{section.content}</details>"
+    return f'<section id="{section.key}" aria-labelledby="h-{section.key}">{content}</section>'
 
 
 def write_html(path: Path, text: str, *, what: str) -> None:
@@ -221,6 +226,7 @@ h4{margin:10px 0 6px;font-size:14px;color:var(--faint);font-weight:600}
 nav{display:flex;flex-wrap:wrap;gap:4px 18px;padding:10px 0;border-top:1px solid var(--line);font-size:15px}
 nav a{color:var(--accent);text-decoration:none}
 nav a:hover,nav a:focus-visible{text-decoration:underline}
+section summary h2{display:inline;margin:0}
 section{background:var(--card);border:1px solid var(--line);border-radius:10px;padding:22px 24px;margin:0 0 18px;
 scroll-margin-top:12px}
 .lead{font-size:19px;margin:0 0 8px}
@@ -262,6 +268,37 @@ figure{margin:0}.shot figcaption{font-size:13.5px;color:var(--faint);padding:3px
 .plot .zoom img{width:auto;max-width:100%;margin:0 auto}
 .plot figcaption{font-size:14.5px;padding-top:6px;max-width:86ch;color:var(--faint)}
 .plot figcaption strong{color:var(--ink)}
+#replay-player[hidden]{display:none}
+.stage{display:grid;grid-template-columns:minmax(0,3fr) minmax(0,2fr);gap:12px;align-items:start}
+canvas.scene{display:block;width:100%;aspect-ratio:4/3;border:1px solid var(--line);border-radius:6px;
+touch-action:none;cursor:grab}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(130px,1fr));gap:6px}
+.tiles figure{min-width:0}.tiles canvas{display:block;width:100%;height:auto;border-radius:4px;background:#0002}
+.tiles figcaption{font-size:12.5px;color:var(--faint);overflow-wrap:anywhere}
+.transport{display:flex;flex-wrap:wrap;align-items:center;gap:8px;margin:10px 0 0}
+.transport input[type=range]{flex:1;min-width:140px;accent-color:var(--accent)}
+.transport button,button.copy{font:inherit;padding:2px 12px;border:1px solid var(--line);border-radius:6px;
+background:var(--ground);color:var(--ink);cursor:pointer}
+.transport .play{min-width:5.2em}
+.transport output{min-width:15ch;font-weight:600;font-variant-numeric:tabular-nums}
+.charts{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(330px,100%),1fr));gap:14px 18px;
+margin:8px 0 18px}
+.curve figcaption{font-size:14px;display:flex;flex-wrap:wrap;gap:2px 8px;align-items:baseline}
+.curve small{color:var(--faint)}.curve .keys{display:flex;gap:10px;color:var(--faint);margin-left:auto}
+.key{display:inline-block;width:14px;height:3px;margin-right:5px;vertical-align:middle}
+.chart{display:block;width:100%;height:auto;cursor:crosshair}
+.chart text{font:11px system-ui,sans-serif;fill:var(--faint)}
+.chart .grid{stroke:var(--line)}.chart .cursor{stroke:var(--ink);stroke-width:1;opacity:.6}
+.chart .band{stroke:none;opacity:.2}.chart .line{fill:none;stroke-width:1.8;stroke-linejoin:round}
+.chart .unseen{stroke-dasharray:2 4;opacity:.8}
+.chart .left{stroke:#2f86d6}.chart .band.left{fill:#2f86d6}.key.left{background:#2f86d6}
+.chart .right{stroke:#e07b1a}.chart .band.right{fill:#e07b1a}.key.right{background:#e07b1a}
+.chart .middle{stroke:#7a8794}.chart .band.middle{fill:#7a8794}.key.middle{background:#7a8794}
+textarea.summary{width:100%;font-family:ui-monospace,"DejaVu Sans Mono",Menlo,Consolas,monospace;font-size:12.5px;
+background:var(--ground);color:var(--ink);border:1px solid var(--line);border-radius:6px;padding:8px;resize:vertical}
+@media (max-width:720px){header,main{padding:0 10px}section{padding:16px 12px}
+.stage{grid-template-columns:minmax(0,1fr)}
+h1{font-size:24px}.card .value{font-size:23px}}
 .slider{display:flex;flex-wrap:wrap;align-items:center;gap:10px;margin:12px 0;position:sticky;top:0;z-index:2;
 background:var(--card);padding:8px 0}
 .slider[hidden],.frame[hidden]{display:none}
@@ -287,6 +324,14 @@ var box=document.getElementById("zoom"),big=box.querySelector("img"),text=box.qu
 document.querySelectorAll("button.zoom").forEach(function(b){b.addEventListener("click",function(){
 var i=b.querySelector("img");big.src=i.src;big.alt=i.alt;text.textContent=i.alt;box.showModal();});});
 box.addEventListener("click",function(){box.close();});
+document.querySelectorAll("button.copy").forEach(function(b){b.addEventListener("click",function(){
+var t=document.getElementById(b.dataset.of);t.select();
+function done(){b.textContent="Copied";}
+if(navigator.clipboard){navigator.clipboard.writeText(t.value).then(done,function(){document.execCommand("copy");done();});}
+else{document.execCommand("copy");done();}});});
+function unfold(){var s=location.hash&&document.getElementById(location.hash.slice(1));
+var d=s&&s.querySelector("details");if(d){d.open=true;}}
+window.addEventListener("hashchange",unfold);unfold();
 var bar=document.querySelector(".slider");if(!bar){return;}
 var frames=document.querySelectorAll(".frame"),range=bar.querySelector("input[type=range]");
 var all=bar.querySelector("input[type=checkbox]"),out=bar.querySelector("output");

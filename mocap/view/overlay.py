@@ -45,6 +45,7 @@ MASK_COLOUR: Colour = (235, 64, 165)
 AXIS_COLOURS: dict[str, Colour] = {"x": (213, 94, 0), "y": (0, 158, 115), "z": (0, 114, 178)}
 
 _SHIFT = 4  # OpenCV draws with 4 fractional bits: thin lines land where the camera model says
+_MOST_LINE_PX = 200
 _MAX_PX = 15_000.0  # beyond this OpenCV's fixed-point coordinates overflow
 _MAX_SPLAT_PX = 96
 _SPLAT_SHARE = 1.35  # a cube seen from a corner is up to 1.7 sides wide; 1 would leave holes between splats
@@ -178,6 +179,29 @@ def draw_body(image: Image, camera: Camera, parts: Sequence[BodyPart], *, alpha:
         edge = tuple(int(0.45 * c) for c in colour)
         cv2.polylines(out, [polygon], True, edge, _stroke(out), cv2.LINE_AA, _SHIFT)
     return out
+
+
+def draw_limbs(image: Image, camera: Camera, parts: Sequence[BodyPart], *, alpha: float = 0.6) -> Image:
+    """A fitted body in a small picture: every truncated cone as a line as thick as its mean, far ones first.
+
+    image, parts : as in `draw_body`, which is exact and takes ten times as long.
+    """
+    out = _copy(image, camera)
+    cones = [(part.side, *cone) for part in parts for cone in part.cones]
+    if not cones:
+        return out
+    ends = np.array([[start, end] for _, start, end, _, _ in cones], dtype=np.float64)
+    uv, depth = camera.project(ends)
+    uv = _drawable(uv)
+    radii = np.array([0.5 * (r0 + r1) for *_, r0, r1 in cones])
+    layer = out.copy()
+    for k in np.argsort(-depth.mean(axis=1)):  # NaN comes last and is left out
+        if _is_known(uv[k]).all():
+            width = round(2.0 * radii[k] * camera.K[0, 0] / max(float(depth[k].mean()), 1e-6))
+            _line(
+                layer, _fixed_point(uv[k]), SIDE_COLOURS[cones[k][0]], int(np.clip(width, 1, _MOST_LINE_PX))
+            )
+    return np.asarray(cv2.addWeighted(layer, alpha, out, 1.0 - alpha, 0.0), dtype=np.uint8)
 
 
 def draw_skeleton(

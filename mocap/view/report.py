@@ -11,11 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
+from urllib.parse import quote
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.view.curves import Chart, charts_html
 from mocap.view.html import (
     Figure,
     PageSection,
@@ -33,6 +35,7 @@ from mocap.view.html import (
     write_html,
 )
 from mocap.view.overlay import MASK_COLOUR, SIDE_COLOURS, Colour
+from mocap.view.replay import Replay, replay_html
 
 Image = NDArray[np.uint8]
 
@@ -94,6 +97,15 @@ class FramePanel:
 
 
 @dataclass(frozen=True, eq=False)
+class PersonPage:
+    """What a report says of one person.  charts : curves over time.  summary : lines to be pasted into a table."""
+
+    name: str
+    charts: tuple[Chart, ...]
+    summary: str
+
+
+@dataclass(frozen=True, eq=False)
 class ReportData:
     """All that a report shows. Everything but title, session and status may be left empty.
 
@@ -101,7 +113,8 @@ class ReportData:
     -> number or None = does not apply.  per_landmark_mm : landmark -> mean error, mm.
     timings : stage -> (seconds in all, milliseconds per frame or None).
     silhouettes : camera -> keys of MASK_NUMBERS -> share 0..1 or None = not known.
-    outputs : (file name, what it is for).  command : how to make this result again.
+    outputs : (file name, what it is for).  command : how to make this result again.  replay : the motion, frame by
+    frame.  people : curves and summary of every person.
     """
 
     title: str
@@ -123,6 +136,8 @@ class ReportData:
     config_text: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     silhouettes: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
+    replay: Replay | None = None
+    people: tuple[PersonPage, ...] = ()
 
 
 def write_report(path: Path, data: ReportData, *, max_bytes: int = MAX_BYTES) -> None:
@@ -184,21 +199,24 @@ def _clip_words(data: ReportData) -> list[str]:
 def _page(data: ReportData, panels: Sequence[FramePanel], width: int, quality: int) -> str:
     sections = [
         PageSection("result", "Result", _result_section(data)),
+        *([PageSection("replay", "Replay", replay_html(data.replay))] if data.replay else []),
+        *([PageSection("people", "Persons", _people_section(data))] if data.people else []),
         PageSection("warnings", "Warnings", warning_list(data.warnings)),
+        PageSection("files", "Files", _files_section(data)),
         PageSection("pictures", "Pictures", _pictures_section(data, panels, width, quality)),
-        PageSection("accuracy", "Accuracy", _accuracy_section(data)),
+        PageSection("accuracy", "Accuracy", _accuracy_section(data), is_folded=True),
         *(
-            [PageSection("silhouettes", "Silhouettes", _silhouettes_section(data))]
+            [PageSection("silhouettes", "Silhouettes", _silhouettes_section(data), is_folded=True)]
             if data.silhouettes
             else []
         ),
         PageSection("tracks", "Paths", _figures(data, "tracks") or faint("No map of the paths was made.")),
-        PageSection("timing", "Timing", _timing_section(data)),
+        PageSection("timing", "Timing", _timing_section(data), is_folded=True),
     ]
     if any(f.section == "other" for f in data.figures):
-        sections.append(PageSection("more", "More plots", _figures(data, "other")))
-    sections.append(PageSection("settings", "Settings and files", _settings_section(data)))
-    sections.append(PageSection("versions", "Versions", _versions_section(data.versions)))
+        sections.append(PageSection("more", "More plots", _figures(data, "other"), is_folded=True))
+    sections.append(PageSection("settings", "Settings", _settings_section(data), is_folded=True))
+    sections.append(PageSection("versions", "Versions", _versions_section(data.versions), is_folded=True))
     subtitle = f'<p class="session">{escaped(data.session)} {_badge(data)}</p>'
     return page_html(data.title, "Motion capture report", sections, subtitle=subtitle)
 
@@ -369,16 +387,41 @@ def _settings_section(data: ReportData) -> str:
     out = ""
     if data.command:
         out += f"<p>This command makes the same result again:</p><pre>{escaped(data.command)}</pre>"
-    if data.outputs:
-        rows = "".join(
-            f'<tr><th scope="row"><code>{escaped(name)}</code></th><td>{escaped(what)}</td></tr>'
-            for name, what in data.outputs
-        )
-        table = f'<table class="plain"><tbody>{rows}</tbody></table>'
-        out += f'<p>Files beside this report:</p><div class="scroll">{table}</div>'
     if data.config_text:
         out += f"<details><summary>All settings of the run</summary><pre>{escaped(data.config_text)}</pre></details>"
     return out or faint("No settings were recorded.")
+
+
+def _people_section(data: ReportData) -> str:
+    """Curves and summary of every person."""
+    out = (
+        "<p>The band round a curve holds the truth in 90 % of frames; a curve is dashed where the pictures did not "
+        "show what it says. Select a place in a curve to see that instant in the replay. Angles and signs are defined "
+        "in docs/angles.md; the person's left is blue, the right orange.</p>"
+    )
+    for i, person in enumerate(data.people):
+        rows = person.summary.count("\n") + 1
+        out += (
+            f"<h3>{escaped(person.name.capitalize())}</h3>{charts_html(person.charts)}"
+            f'<details><summary>Numbers to copy</summary><p><button type="button" class="copy" '
+            f'data-of="summary-{i}">Copy</button></p><textarea class="summary" id="summary-{i}" readonly '
+            f'rows="{min(rows, 14)}" aria-label="Numbers of {escaped(person.name)}">{escaped(person.summary)}'
+            "</textarea></details>"
+        )
+    return out
+
+
+def _files_section(data: ReportData) -> str:
+    """Links to what lies beside the page."""
+    if not data.outputs:
+        return faint("Nothing was written beside this page.")
+    rows = "".join(
+        f'<tr><th scope="row"><a href="{quote(name)}"><code>{escaped(name)}</code></a></th>'
+        f"<td>{escaped(what)}</td></tr>"
+        for name, what in data.outputs
+    )
+    table = f'<table class="plain"><tbody>{rows}</tbody></table>'
+    return f'<p>These lie beside this page, in the same folder.</p><div class="scroll">{table}</div>'
 
 
 def _versions_section(versions: Mapping[str, str]) -> str:

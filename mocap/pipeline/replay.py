@@ -1,0 +1,248 @@
+"""What the report shows of the motion: a replay, curves over time, and a summary of every person in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import AngleSeries, Camera, landmark_names
+from mocap.pipeline.panels import images_of
+from mocap.pipeline.record import Found
+from mocap.pipeline.scene_frames import body_parts, room_bounds, rows_at, shown_frames
+from mocap.pose.method import SmoothSettings
+from mocap.pose.result import PersonPoses
+from mocap.view.curves import Chart, Curve
+from mocap.view.overlay import draw_limbs
+from mocap.view.replay import Replay, ReplayPerson, webp
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+# Of the pictures in the page, as base64: what is left of 5 MB for ten seconds after scene, curves and plots.
+PICTURE_BYTES = 3_200_000
+# (width px, quality) of a camera's picture; the first whose pictures of all frames fit is taken, and of the last one as
+# many frames as fit.
+_SIZES = ((160, 40), (144, 35), (128, 30), (112, 25))
+_N_SAMPLES = 3
+_BASE64 = 4.0 / 3.0
+# Speed is measured over so long: shorter spans show the trembling of the poses.
+_SPEED_SPAN_S = 0.2
+_SIDES = ("left", "right")
+# Angles of the report, of both sides together.
+_CHARTS = (
+    ("Hip flexion", "hip_flexion"),
+    ("Knee flexion", "knee_flexion"),
+    ("Ankle dorsiflexion", "ankle_dorsiflexion"),
+    ("Shoulder flexion", "shoulder_flexion"),
+    ("Shoulder elevation", "shoulder_elevation"),
+    ("Elbow flexion", "elbow_flexion"),
+    ("Wrist flexion", "wrist_flexion"),
+)
+_MIDDLE_CHARTS = (("Trunk flexion", "trunk_flexion"), ("Pelvis tilt", "pelvis_tilt"))
+
+
+def replay_of(found: Found, *, picture_bytes: int = PICTURE_BYTES) -> Replay:
+    """The replay of a run: persons in every shown frame, pictures of every camera as far as they fit.
+
+    picture_bytes : what the pictures may take in the page.
+    """
+    frames = np.array(shown_frames(found.session.frames), dtype=np.int64)
+    camera_rig = found.session.rig
+    replay = Replay(
+        rig=camera_rig,
+        fps=found.session.fps,
+        frames=frames,
+        persons=tuple(ReplayPerson(p.person, _places(p, frames)) for p in found.poses),
+        bounds_m=room_bounds(found),
+        picture_frames=np.zeros(0, dtype=np.int64),
+        sheets=(),
+        tiles=(),
+    )
+    if not found.session.image_sources:
+        return replay
+    width, quality, chosen = _fitting(found, frames, picture_bytes)
+    sheet = _Sheet(camera_rig.cameras, width, quality)
+    return replace(
+        replay, picture_frames=chosen, sheets=tuple(_sheets(found, chosen, sheet)), tiles=sheet.tiles
+    )
+
+
+def _places(poses: PersonPoses, frames: NDArray[np.int64]) -> Array:
+    """Landmarks (T, M, 3) in these frames, NaN where there is no pose."""
+    out = np.full((len(frames), *poses.landmarks.shape[1:]), np.nan)
+    _, rows, own = np.intersect1d(frames, poses.frames, return_indices=True)
+    out[rows] = poses.landmarks[own]
+    return out
+
+
+class _Sheet:
+    """Small pictures of all cameras side by side in one file, with the bodies drawn in."""
+
+    def __init__(self, cameras: Sequence[Camera], width: int, quality: int) -> None:
+        self.quality = quality
+        self.cameras = tuple(_scaled(camera, width) for camera in cameras)
+        n_columns = int(np.ceil(np.sqrt(len(cameras))))
+        height = max(camera.size[1] for camera in self.cameras)
+        self.tiles = tuple(
+            ((i % n_columns) * width, (i // n_columns) * height, *camera.size)
+            for i, camera in enumerate(self.cameras)
+        )
+        self.size = (n_columns * width, -(-len(cameras) // n_columns) * height)
+
+    def picture(self, images: Sequence[Image], rows: Sequence[tuple[PersonPoses, int]]) -> bytes:
+        """The file of one frame.  images : of the cameras, as filmed."""
+        parts = [part for p, i in rows for part in body_parts(p.body, p.states[i])]
+        sheet = np.zeros((self.size[1], self.size[0], 3), dtype=np.uint8)
+        for image, camera, (x, y, w, h) in zip(images, self.cameras, self.tiles, strict=True):
+            small = np.asarray(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+            sheet[y : y + h, x : x + w] = draw_limbs(small, camera, parts)
+        return webp(sheet, self.quality)
+
+
+def _scaled(camera: Camera, width: int) -> Camera:
+    """The camera of a picture that was scaled to a width."""
+    w, h = camera.size
+    size = (width, max(1, round(h * width / w)))
+    K = camera.K.copy()
+    for axis, (new, old) in enumerate(zip(size, (w, h), strict=True)):
+        K[axis] *= new / old
+        K[axis, 2] += 0.5 * new / old - 0.5
+    return replace(camera, K=K, size=size)
+
+
+def _sheets(found: Found, frames: NDArray[np.int64], sheet: _Sheet) -> Iterator[bytes]:
+    for frame, images in images_of(found, frames):
+        yield sheet.picture(images, rows_at(found.poses, frame))
+
+
+def _fitting(found: Found, frames: NDArray[np.int64], limit: int) -> tuple[int, int, NDArray[np.int64]]:
+    """Width, quality and frames of the pictures, so that they stay below `limit` bytes in the page."""
+    samples = frames[np.unique(np.linspace(0, len(frames) - 1, _N_SAMPLES).round().astype(int))]
+    read = [(frame, images) for frame, images in images_of(found, samples)]
+    for width, quality in _SIZES:
+        sheet = _Sheet(found.session.rig.cameras, width, quality)
+        sizes = [len(sheet.picture(images, rows_at(found.poses, frame))) for frame, images in read]
+        each = _BASE64 * float(np.mean(sizes)) * 1.1
+        if each * len(frames) <= limit:
+            return width, quality, frames
+    return width, quality, frames[:: max(1, int(np.ceil(each * len(frames) / limit)))]
+
+
+def charts_of(poses: PersonPoses, angles: AngleSeries, fps: float) -> list[Chart]:
+    """Curves of one person: speed, heights, and the angles that the body has."""
+    if not len(poses.frames):
+        return []
+    charts = [_speed_chart(poses, fps), _height_chart(poses, fps)]
+    for title, name in _CHARTS:
+        curves = [
+            _curve(angles, f"{side}_{name}", side, side)
+            for side in _SIDES
+            if f"{side}_{name}" in angles.names
+        ]
+        if curves:
+            charts.append(_on_every_frame(Chart(title, "degrees", poses.frames, fps, tuple(curves))))
+    for title, name in _MIDDLE_CHARTS:
+        if name in angles.names:
+            chart = Chart(title, "degrees", poses.frames, fps, (_curve(angles, name, title, "middle"),))
+            charts.append(_on_every_frame(chart))
+    return charts
+
+
+def _curve(angles: AngleSeries, name: str, label: str, kind: str) -> Curve:
+    a = angles.names.index(name)
+    std = None if angles.std is None else np.rad2deg(angles.std[:, a])
+    seen = None if angles.observed is None else angles.observed[:, a]
+    return Curve(label, kind, np.rad2deg(np.unwrap(angles.values[:, a])), std, seen)
+
+
+def _on_every_frame(chart: Chart) -> Chart:
+    """The chart with a row for every frame from the first to the last; new rows are gaps."""
+    first, last = int(chart.frames[0]), int(chart.frames[-1])
+    if len(chart.frames) == last - first + 1:
+        return chart
+    rows, n = chart.frames - first, last - first + 1
+
+    def spread(values: Array | None) -> Array | None:
+        if values is None:
+            return None
+        out = np.full(n, np.nan)
+        out[rows] = values
+        return out
+
+    def seen(observed: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+        if observed is None:
+            return None
+        out = np.zeros(n, dtype=np.bool_)
+        out[rows] = observed
+        return out
+
+    curves = tuple(
+        replace(c, values=np.asarray(spread(c.values)), std=spread(c.std), observed=seen(c.observed))
+        for c in chart.curves
+    )
+    return Chart(chart.title, chart.unit, np.arange(first, last + 1), chart.fps, curves)
+
+
+def speeds_m_s(poses: PersonPoses, fps: float) -> tuple[Array, float]:
+    """Speed of the pelvis over the floor, (T,) m/s, over spans of 0.2 s, NaN beside gaps, and its standard deviation.
+
+    The deviation is that of what changes from frame to frame (`method.smooth.noise_m`): what stays does not move.
+    """
+    half = max(1, round(0.5 * _SPEED_SPAN_S * fps))
+    out = np.full(len(poses.frames), np.nan)
+    at = {int(frame): i for i, frame in enumerate(poses.frames)}
+    place = poses.landmarks[:, 0, :2]
+    for frame, i in at.items():
+        a, b = at.get(frame - half), at.get(frame + half)
+        if a is not None and b is not None:
+            out[i] = float(np.linalg.norm(place[b] - place[a])) * fps / (2 * half)
+    return out, float(np.sqrt(2.0) * SmoothSettings().noise_m * fps / (2 * half))
+
+
+def _speed_chart(poses: PersonPoses, fps: float) -> Chart:
+    speed, std = speeds_m_s(poses, fps)
+    curve = Curve("pelvis", "middle", speed, np.full(len(speed), std))
+    return _on_every_frame(Chart("Speed over the floor", "m/s", poses.frames, fps, (curve,)))
+
+
+def _height_chart(poses: PersonPoses, fps: float) -> Chart:
+    names = landmark_names(poses.landmarks.shape[1])
+    curves = []
+    for name, kind in (("head", "left"), ("pelvis", "middle")):
+        m = names.index(name)
+        std = np.sqrt(poses.landmark_covariance[:, m, 2, 2])
+        curves.append(Curve(name, kind, poses.landmarks[:, m, 2], std, poses.observed[:, m]))
+    return _on_every_frame(Chart("Height over the floor", "m", poses.frames, fps, tuple(curves)))
+
+
+def person_summary(poses: PersonPoses, angles: AngleSeries, fps: float) -> str:
+    """One person in lines of tab-separated text, to be pasted into a table."""
+    speed, _ = speeds_m_s(poses, fps)
+    steps = np.linalg.norm(np.diff(poses.landmarks[:, 0, :2], axis=0), axis=1)
+    steps = steps[np.diff(poses.frames) == 1]
+    head = poses.landmarks[:, 2, 2]
+    known = np.isfinite(speed)
+    lines = [
+        f"person\t{poses.person}",
+        f"body height\t{poses.body.height_m:.2f} m{'' if poses.height.is_measured else ' (not measured)'}",
+        f"followed\t{len(poses.frames)} frames, {len(poses.frames) / fps:.1f} s",
+        f"way over the floor\t{float(steps.sum()):.2f} m",
+    ]
+    if known.any():
+        lines.append(f"speed, mean and largest\t{speed[known].mean():.2f} and {speed[known].max():.2f} m/s")
+    lines.append(f"top of the head, lowest and highest\t{head.min():.2f} and {head.max():.2f} m")
+    lines.append(f"landmarks observed\t{100 * float(poses.observed.mean()):.0f} %")
+    lines.append("angle\tmean\tleast\tgreatest\tstandard deviation\tobserved")
+    for a, name in enumerate(angles.names):
+        values = np.rad2deg(np.unwrap(angles.values[:, a]))
+        std = np.nan if angles.std is None else float(np.rad2deg(angles.std[:, a]).mean())
+        seen = 1.0 if angles.observed is None else float(angles.observed[:, a].mean())
+        lines.append(
+            f"{name.replace('_', ' ')}\t{values.mean():.0f}\t{values.min():.0f}\t{values.max():.0f}\t{std:.0f}\t"
+            f"{100 * seen:.0f} %"
+        )
+    return "\n".join(lines)
