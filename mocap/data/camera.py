@@ -19,7 +19,8 @@ class Camera:
     """Pinhole or fisheye camera; R, t map world to camera (T_cam_world).
 
     size : (width, height) px.  K : (3, 3) px.  dist : (n,) OpenCV order k1, k2, p1, p2[, k3 ...], or k1..k4
-    of the fisheye model.  R : (3, 3).  t : (3,) m.
+    of the fisheye model.  R : (3, 3).  t : (3,) m.  filmed_size : (width, height) px of its pictures in files, of which
+    squares of whole pixels become one; None = `size`.
     Raises ValueError for wrong shapes, non-finite numbers, a singular K or an R that is no rotation.
     """
 
@@ -30,6 +31,7 @@ class Camera:
     R: Array
     t: Array
     is_fisheye: bool = False
+    filmed_size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         for attr, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
@@ -61,7 +63,8 @@ class Camera:
         K = self.K.copy()
         K[:2] /= factor
         K[:2, 2] += 0.5 / factor - 0.5
-        return replace(self, K=K, size=(self.size[0] // factor, self.size[1] // factor))
+        size = self.size[0] // factor, self.size[1] // factor
+        return replace(self, K=K, size=size, filmed_size=self.filmed_size or self.size)
 
     def project(self, points_world: Array) -> tuple[Array, Array]:
         """uv (..., 2) px and depth (...,) m of points_world (..., 3) m; NaN where not visible by geometry."""

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import CameraRig
+from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.files import array_names, load_arrays, read_head
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
@@ -124,6 +124,26 @@ def iter_clip(path: Path | str, *, size: Size | None = None, camera: str = "") -
         clip.close()
 
 
+def iter_camera(path: Path | str, camera: Camera) -> Iterator[Image]:
+    """The pictures of a camera's clip as `iter_clip` gives them, in the camera's size."""
+    for picture in iter_clip(path, size=camera.filmed_size or camera.size, camera=camera.name):
+        yield in_size_of(camera, picture)
+
+
+def in_size_of(camera: Camera, picture: Picture) -> Picture:
+    """A picture (H, W, 3) uint8, or a mask (H, W) bool, as filmed, in the size of a camera: each of its pixels is the
+    mean of a square, of a mask what most of it is."""
+    if camera.filmed_size is None:
+        return picture
+    step = camera.filmed_size[0] // camera.size[0]
+    width, height = camera.size
+    whole = picture[: step * height, : step * width]
+    if whole.dtype != np.bool_:
+        return cv2.resize(whole, camera.size, interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
+    share = cv2.resize(whole.astype(np.float32), camera.size, interpolation=cv2.INTER_AREA)
+    return share >= 0.5  # type: ignore[return-value]
+
+
 def _check_order(sources: Mapping[str, Path], rig: CameraRig, frames: Sequence[int]) -> None:
     if missing := [n for n in rig.names if n not in sources]:
         raise ValueError(f"sources lacks cameras of the rig: {', '.join(missing)}")
@@ -146,7 +166,7 @@ class _Reader(ABC, Generic[Picture]):
         _check_order(sources, rig, frames)
         self.frames = frames
         self._names = rig.names
-        self._sizes = [c.size for c in rig]
+        self._cameras = list(rig)
         self._sources = [Path(sources[n]) for n in rig.names]
         # Decoding releases the interpreter; more threads than cores only take memory.
         self._n_workers = min(len(rig), n_workers if n_workers is not None else min(4, os.cpu_count() or 1))
@@ -184,6 +204,10 @@ class _Reader(ABC, Generic[Picture]):
             for worker in workers:
                 worker.stop()
 
+    def _filmed_size(self, camera: int) -> Size:
+        """The size that the pictures of one camera must have in their files."""
+        return self._cameras[camera].filmed_size or self._cameras[camera].size
+
     @abstractmethod
     def _open(self, camera: int) -> _Clip[Picture]:
         """The clip of one camera, by its place in the rig."""
@@ -202,7 +226,7 @@ class FrameReader(_Reader[Image]):
         return self
 
     def _open(self, camera: int) -> _Clip[Image]:
-        return _open_images(self._sources[camera], self._names[camera], self._sizes[camera])
+        return _open_images(self._sources[camera], self._names[camera], self._filmed_size(camera))
 
 
 class MaskReader(_Reader[Mask]):
@@ -217,7 +241,7 @@ class MaskReader(_Reader[Mask]):
         return self
 
     def _open(self, camera: int) -> _Clip[Mask]:
-        path, name, size = self._sources[camera], self._names[camera], self._sizes[camera]
+        path, name, size = self._sources[camera], self._names[camera], self._filmed_size(camera)
         if path.suffix.lower() == ".npz":
             return _NpzMasks(path, name, size)
         return _MaskClip(path, name, size)
@@ -278,7 +302,7 @@ class _Worker(Generic[Picture]):
                             frame=frame,
                             remedy=_REMEDY_CUT,
                         )
-                    pictures.append(picture)
+                    pictures.append(in_size_of(self._reader._cameras[camera], picture))
                 if not self._put(pictures):
                     return
         except Exception as error:

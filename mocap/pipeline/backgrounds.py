@@ -24,7 +24,7 @@ from mocap.foreground import (
     unfitted,
 )
 from mocap.io.session import Session
-from mocap.io.video import iter_clip
+from mocap.io.video import iter_camera
 from mocap.pipeline.config import SegmentationConfig
 from mocap.volume import Witness, choose_grid
 
@@ -101,8 +101,7 @@ def _of_clip(camera: Camera, session: Session) -> Fit:
             path=session.root / "background",
             remedy="record one, or set segmentation.background to recording, median or first",
         )
-    source = session.background_sources[camera.name]
-    background = learn_background(iter_clip(source, size=camera.size, camera=camera.name))
+    background = learn_background(iter_camera(session.background_sources[camera.name], camera))
     n = min(len(session.frames), round(_FIT_S * session.fps))
     pictures: list[Image] = []
     if camera.name in session.image_sources and n >= _FIT_PICTURES:
@@ -172,7 +171,7 @@ def _of_recording(
 
 def _clip(camera: Camera, session: Session) -> Iterator[Image]:
     """The pictures of the frames of the session."""
-    clip = iter_clip(session.image_sources[camera.name], size=camera.size, camera=camera.name)
+    clip = iter_camera(session.image_sources[camera.name], camera)
     return islice(clip, session.frames.start, session.frames.stop)
 
 

@@ -14,6 +14,7 @@ from mocap.io.store import StageStore
 from mocap.pipeline.lock import sole_use
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, record_from_json
 from mocap.pipeline.report_data import write_run_report
+from mocap.pipeline.resolution import at_useful_size
 from mocap.pipeline.scene_frames import write_scene
 from mocap.products.one_run import check_one_run
 from mocap.products.poses import stored_poses
@@ -36,6 +37,7 @@ def open_run(out: Path, session: Path) -> RunResult:
         )
     opened = open_session(session, frames=(record.frames.start, record.frames.stop))
     _check_same(record, opened, out)
+    opened = at_useful_size(opened, record.config, record.kind)
     store = StageStore(out / "store.zarr")
     found = Found(opened, store, record.kind, stored_tracks(store, opened.fps), tuple(stored_poses(store)))
     return RunResult(record, out, found)

@@ -37,6 +37,7 @@ from mocap.pipeline.record import (
     versions,
 )
 from mocap.pipeline.report_data import write_run_report
+from mocap.pipeline.resolution import at_useful_size
 from mocap.pipeline.stage import Job, StageReport, is_done
 from mocap.pipeline.walk import run_together, walks
 from mocap.portable import peak_memory_mb
@@ -83,6 +84,7 @@ def run_session(
         session = open_session(session, calibration=calibration, frames=frames)
     kind = observation_kind(session, config)
     check_config(config, kind)
+    session = at_useful_size(session, config, kind)
     out = Path(out)
     check_out(out, session)
     if kind in WITH_VOLUMES and until != "segment":

@@ -22,7 +22,7 @@ from mocap.foreground import (
 from mocap.foreground.quality import Triple
 from mocap.io.session import Session
 from mocap.io.store import StageStore
-from mocap.io.video import MaskReader, iter_clip
+from mocap.io.video import MaskReader, in_size_of, iter_clip
 from mocap.pipeline.backgrounds import learn_backgrounds
 from mocap.pipeline.stage import (
     Ending,
@@ -128,12 +128,12 @@ def region_of_interest(session: Session, camera: Camera) -> NDArray[np.bool_] | 
 
     Raises MocapError for a picture of another size than the camera's, or a region that is empty.
     """
-    width, height = camera.size
+    width, height = size = camera.filmed_size or camera.size
     region = np.zeros((height, width), dtype=np.uint8)
     path = session.root / "session.toml"
     if camera.name in session.roi_sources:
         path = session.roi_sources[camera.name]
-        picture = next(iter_clip(path, size=camera.size, camera=camera.name))
+        picture = next(iter_clip(path, size=size, camera=camera.name))
         region = picture.max(axis=2)
     elif camera.name in session.roi_px:
         corners = np.round(np.array(session.roi_px[camera.name]).clip(-1e5, 1e5)).astype(np.int32)
@@ -147,7 +147,7 @@ def region_of_interest(session: Session, camera: Camera) -> NDArray[np.bool_] | 
             camera=camera.name,
             remedy="paint the part of the picture white in which persons can be, or remove it",
         )
-    return region > 0
+    return in_size_of(camera, region > 0)
 
 
 def segment_report(job: Job) -> StageReport:
