@@ -88,6 +88,23 @@ def transforms_kernel(states, chain, R, t):
 
 
 @njit(cache=True, nogil=True)
+def place_cones(states, chain, cones, start, end):
+    """Ends of cones in the world, start and end (N, K, 3), of states (N, D).  cones : ConeArrays."""
+    parent, offset, dof_joint, dof_axis, dof_column = chain
+    joint, first, last = cones.joint, cones.start, cones.end
+    R = np.empty((parent.shape[0], 3, 3))
+    t = np.empty((parent.shape[0], 3))
+    for n in range(states.shape[0]):
+        forward_kinematics(states[n], parent, offset, dof_joint, dof_axis, dof_column, R, t)
+        for k in range(joint.shape[0]):
+            j = joint[k]
+            for r in range(3):
+                a, b, c = R[j, r, 0], R[j, r, 1], R[j, r, 2]
+                start[n, k, r] = a * first[k, 0] + b * first[k, 1] + c * first[k, 2] + t[j, r]
+                end[n, k, r] = a * last[k, 0] + b * last[k, 1] + c * last[k, 2] + t[j, r]
+
+
+@njit(cache=True, nogil=True)
 def chain_axes(state, chain, R, t, axes):
     """Joint transforms, and the world direction of every rotation axis, axes (n_dofs, 3)."""
     parent, offset, dof_joint, dof_axis, dof_column = chain

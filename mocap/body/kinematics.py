@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.arrays import Array
-from mocap.body._kernels import chain_axes, transforms_kernel
+from mocap.body._kernels import Chain, ConeArrays, chain_axes, place_cones, transforms_kernel
 from mocap.body.model import Body
 from mocap.data.skeleton import Skeleton
 from mocap.geometry.rigid import matrix_from_twist
@@ -72,11 +74,37 @@ def cones_of(body: Body, state: Array) -> tuple[Array, Array]:
 
 def cones_of_particles(body: Body, states: Array, which: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Ends of some of the flesh cones of states (N, D): start and end (N, K', 3) m, world.  which : (K,) bool."""
-    R, t = joint_transforms(body, states)
-    joint = body.cones.joint[which]
-    start = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.start[which]) + t[:, joint]
-    end = np.einsum("nkrc,kc->nkr", R[:, joint], body.cones.end[which]) + t[:, joint]
+    s = np.ascontiguousarray(states, dtype=np.float64)
+    chain, cones = _branch(body, tuple(np.flatnonzero(which).tolist()))
+    start, end = np.empty((len(s), len(cones.joint), 3)), np.empty((len(s), len(cones.joint), 3))
+    place_cones(s, chain, cones, start, end)
     return start, end
+
+
+@lru_cache(maxsize=64)
+def _branch(body: Body, which: tuple[int, ...]) -> tuple[Chain, ConeArrays]:
+    """Some cones of a body with no more joints than move them."""
+    rows, cones = np.array(which, dtype=np.int64), body.cones
+    needed: set[int] = set()
+    for joint in cones.joint[rows].tolist():
+        while joint >= 0 and joint not in needed:
+            needed.add(joint)
+            joint = int(body.parent[joint])
+    joints = np.array(sorted(needed), dtype=np.int64)
+    number = np.full(len(body.joints) + 1, -1, dtype=np.int64)  # the last one is nobody's, the root's parent
+    number[joints] = np.arange(len(joints))
+    dofs = np.isin(body.dof_joint, joints)
+    chain = Chain(
+        number[body.parent[joints]],
+        body.offset[joints],
+        number[body.dof_joint[dofs]],
+        body.dof_axis[dofs],
+        body.dof_column[dofs],
+    )
+    own = ConeArrays(
+        cones.start[rows], cones.end[rows], cones.radii[rows], number[cones.joint[rows]], cones.part[rows]
+    )
+    return chain, own
 
 
 def point_jacobian(

@@ -181,13 +181,12 @@ def _distinct(
     particles: Array, value: Array, columns: NDArray[np.int64], settings: ScoutSettings
 ) -> list[Array]:
     """The best particles that differ from each other in a limb's columns."""
+    angles, left = particles[:, columns], np.argsort(-value, kind="stable")
     chosen: list[Array] = []
-    for i in np.argsort(-value, kind="stable"):
-        gaps = [np.abs(particles[i, columns] - c[columns]).max() for c in chosen]
-        if all(gap > settings.apart_rad for gap in gaps):
-            chosen.append(particles[i])
-            if len(chosen) == settings.n_alternatives:
-                break
+    while len(left) and len(chosen) < settings.n_alternatives:
+        best = left[0]
+        chosen.append(particles[best])
+        left = left[np.abs(angles[left] - angles[best]).max(axis=1) > settings.apart_rad]
     return chosen
 
 

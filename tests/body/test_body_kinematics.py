@@ -17,7 +17,7 @@ from mocap.body import (
     skeleton_of,
 )
 from mocap.body._kernels import forward_kinematics, transforms_kernel
-from mocap.body.kinematics import transforms_by_exponentials
+from mocap.body.kinematics import cones_of_particles, transforms_by_exponentials
 from mocap.data import LANDMARKS
 from mocap.geometry.rigid import matrix_from_twist
 
@@ -182,3 +182,17 @@ def test_nan_reaches_only_what_hangs_on_the_joint() -> None:
     reached = [LANDMARKS.index("left_elbow"), LANDMARKS.index("left_wrist")]
     assert np.isnan(points[reached]).any(axis=1).all()
     assert np.isfinite(np.delete(points, reached, axis=0)).all()
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_some_cones_of_many_states_are_those_of_the_whole_body(name: str) -> None:
+    """They are placed by the joints above them alone."""
+    body = BODIES[name]
+    states = random_states(body, 5)
+    for part in range(body.layout.n_parts):
+        which = body.cones.part == part
+        start, end = cones_of_particles(body, states, which)
+        for i, state in enumerate(states):
+            every_start, every_end = cones_of(body, state)
+            np.testing.assert_allclose(start[i], every_start[which], atol=1e-12)
+            np.testing.assert_allclose(end[i], every_end[which], atol=1e-12)

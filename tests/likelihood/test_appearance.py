@@ -204,7 +204,6 @@ def test_kernels_agree_with_their_python(
     module = "mocap.likelihood.colours.appearance."
     plain = kernels.see_cones.py_func
     monkeypatch.setattr(kernels, "see_cones", plain)
-    monkeypatch.setattr(kernels, "meet_cone", kernels.meet_cone.py_func)
     monkeypatch.setattr(module + "see_cones", plain)
     monkeypatch.setattr(module + "limb_values", kernels.limb_values.py_func)
     slow = colours.log_ratio(particles), colours.limb_log_ratio(standing, limb)(particles)
@@ -256,3 +255,16 @@ def test_no_visible_pixel_says_nothing(coarse_flesh: Flesh, standing: np.ndarray
     assert empty.log_ratio(standing[None]).tolist() == [0.0]
     assert empty.limb_log_ratio(standing, [1])(standing[None]).tolist() == [0.0]
     assert empty.learnt(standing, all_parts(coarse_flesh)).counts.sum() == 0
+
+
+def test_colours_that_were_never_seen_are_weighed_as_all_others(
+    coarse_flesh: Flesh, standing: np.ndarray
+) -> None:
+    """Against the formula over all colours at once."""
+    known = dressed(coarse_flesh, standing).learnt(standing, all_parts(coarse_flesh))
+    assert 0 < np.count_nonzero(known.counts.sum(axis=0)) < 50
+    body = known.counts.sum(axis=0, dtype=np.float64) + 1e-3
+    body /= body.sum()
+    of_zone = known.counts.sum(axis=1, keepdims=True, dtype=np.float64)
+    zone = (known.counts + 100.0 * body) / (of_zone + 100.0)
+    np.testing.assert_allclose(known.log_ratio, np.log(0.95 * zone / body + 0.05), atol=1e-6)

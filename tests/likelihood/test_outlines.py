@@ -32,6 +32,7 @@ from mocap.likelihood.residuals import (
     pinhole_view,
 )
 from mocap.likelihood.residuals import _outline_kernels as kernels
+from mocap.likelihood.residuals import outlines as outlines_module
 
 STEP = 1e-6
 # A pixel is 2 cm wide at the person: half of it is the most an exact outline may miss.
@@ -342,3 +343,22 @@ def test_the_gradient_knows_that_cones_taper(coarse_flesh: Flesh) -> None:
     along = g[:3] @ axis
     assert abs(along) > 0.2 * np.abs(g[:3]).max(), "the taper pulls along the arm"
     np.testing.assert_allclose(g, numeric, atol=0.03 * np.abs(numeric).max())
+
+
+def test_slopes_at_pixels_are_those_of_the_blurred_picture() -> None:
+    """Against OpenCV's blur of the whole picture and central differences, away from its border."""
+    picture = np.zeros((60, 80), dtype=np.uint8)
+    cv2.ellipse(picture, (40, 30), (22, 12), 25.0, 0.0, 360.0, 1, -1)
+    rows, columns = np.mgrid[12:48:3, 12:68:4]
+    at = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.int64)
+    found = kernels.slopes_at(picture, at, *outlines_module._SOFT_SLOPE)
+    soft = cv2.GaussianBlur(picture.astype(np.float64), (0, 0), outlines_module._SOFT_PX)
+    down, right = np.gradient(soft)
+    expected = np.column_stack([right[at[:, 1], at[:, 0]], down[at[:, 1], at[:, 0]]])
+    steep = np.linalg.norm(expected, axis=1) > 0.02
+    assert steep.sum() > 40
+    np.testing.assert_allclose(
+        found, expected, atol=0.01
+    )  # differences over two pixels flatten by a twentieth
+    cosine = (found * expected).sum(axis=1) / np.linalg.norm(found, axis=1) / np.linalg.norm(expected, axis=1)
+    assert cosine[steep].min() > 0.999

@@ -84,11 +84,18 @@ class Appearance:
     @cached_property
     def log_ratio(self) -> NDArray[np.float32]:
         """log p(colour | zone) / p(colour | body), (Z, N_COLOURS); 0 while nothing is known."""
-        total = self.counts.sum(axis=0, dtype=np.float64) + 1e-3
-        body = total / total.sum()
+        total = self.counts.sum(axis=0, dtype=np.float64)
         of_zone = self.counts.sum(axis=1, keepdims=True, dtype=np.float64)
-        zone = (self.counts + _PRIOR_PIXELS * body) / (of_zone + _PRIOR_PIXELS)
-        return np.log((1.0 - _BLUNT) * zone / body + _BLUNT).astype(np.float32)
+        # A person has a few hundred colours: all that were never seen say the same, how much is known of a zone.
+        seen = np.flatnonzero(total)
+        total += 1e-3
+        body = total[seen] / total.sum()
+        zone = (self.counts[:, seen] + _PRIOR_PIXELS * body) / (of_zone + _PRIOR_PIXELS)
+        unseen = (1.0 - _BLUNT) * _PRIOR_PIXELS / (of_zone + _PRIOR_PIXELS) + _BLUNT
+        out = np.empty(self.counts.shape, dtype=np.float32)
+        out[:] = np.log(unseen)
+        out[:, seen] = np.log((1.0 - _BLUNT) * zone / body + _BLUNT)
+        return out
 
 
 def new_appearance(body: Body) -> Appearance:
@@ -114,9 +121,12 @@ class PixelRays:
         return len(self.camera)
 
     @cached_property
-    def first(self) -> NDArray[np.int64]:
-        """Where each camera's rays begin, (C + 1,)."""
-        return np.searchsorted(self.camera, np.arange(len(self.origins) + 1)).astype(np.int64)
+    def columns(self) -> NDArray[np.float32]:
+        """Origin and direction of every ray, (6, M), as the kernels take them."""
+        out = np.empty((6, len(self)), dtype=np.float32)
+        out[:3] = self.origins[self.camera].T
+        out[3:] = self.directions.T
+        return out
 
     def every(self, n: int) -> PixelRays:
         """Only every n-th of them."""
@@ -197,9 +207,7 @@ class ColourProblem:
             starts, ends = cones_of_particles(body, particles, own)
             values = np.empty(len(particles))
             limb_values(
-                near.origins,
-                near.first,
-                near.directions,
+                near.columns,
                 near.bins,
                 self.appearance.log_ratio,
                 rest.depth,
@@ -233,13 +241,13 @@ class ColourProblem:
         cones, zones, n = self.body.cones, self.appearance.zones, len(rays)
         chosen = np.arange(len(cones.part)) if which is None else np.flatnonzero(which)
         start, end = cones_of(self.body, state)
-        cone, at = np.full(n, -1, dtype=np.int64), np.zeros(n)
-        depth, miss = np.full(n, np.inf), np.full(n, _TOUCH_M)
+        cone, at = np.full(n, -1, dtype=np.int32), np.zeros(n, dtype=np.float32)
+        depth, miss = np.full(n, np.inf, dtype=np.float32), np.full(n, _TOUCH_M, dtype=np.float32)
         arguments = start[chosen], end[chosen], cones.radii[chosen]
-        see_cones(rays.origins, rays.first, rays.directions, *arguments, depth, miss, cone, at)
-        cone = np.where(cone >= 0, chosen[cone], -1)
-        along = np.minimum((at * zones.n[cone]).astype(np.int64), zones.n[cone] - 1)
-        return _Seen(cone, np.where(cone >= 0, zones.first[cone] + along, -1), depth, miss)
+        see_cones(rays.columns, *arguments, depth, miss, cone, at)
+        found = np.where(cone >= 0, chosen[cone], -1)
+        along = np.minimum((at * zones.n[found]).astype(np.int64), zones.n[found] - 1)
+        return _Seen(found, np.where(found >= 0, zones.first[found] + along, -1), depth, miss)
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,5 +257,5 @@ class _Seen:
 
     cone: NDArray[np.int64]
     zone: NDArray[np.int64]
-    depth: Array
-    miss: Array
+    depth: NDArray[np.float32]
+    miss: NDArray[np.float32]

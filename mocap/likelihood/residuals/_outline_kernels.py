@@ -88,6 +88,29 @@ def nearest_of_labels(labels, inside):
 
 
 @njit(cache=True, nogil=True)
+def slopes_at(picture, at, blur, slope):
+    """How a blurred picture (H, W) rises to the right and downwards at some pixels (M, 2), column and row: (M, 2).
+
+    blur, slope : (2 n + 1,) weights of the neighbours in a row. Beyond its border the picture goes on as it ends.
+    """
+    reach = blur.shape[0] // 2
+    height, width = picture.shape
+    rises = np.zeros((at.shape[0], 2))
+    for i in range(at.shape[0]):
+        for b in range(-reach, reach + 1):
+            row = min(max(at[i, 1] + b, 0), height - 1)
+            blurred = 0.0
+            sloped = 0.0
+            for a in range(-reach, reach + 1):
+                value = picture[row, min(max(at[i, 0] + a, 0), width - 1)]
+                blurred += blur[reach + a] * value
+                sloped += slope[reach + a] * value
+            rises[i, 0] += blur[reach + b] * sloped
+            rises[i, 1] += slope[reach + b] * blurred
+    return rises
+
+
+@njit(cache=True, nogil=True)
 def _foot_on_axis(aa, au, aw, uw):
     """Place along an axis, unbounded, of the point nearest to a ray; the middle where both are parallel."""
     det = aa - au * au

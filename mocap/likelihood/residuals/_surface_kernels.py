@@ -254,16 +254,15 @@ def surface_normals(voxels, is_surface, crop, lower, ny, nz, radius, normals):
         sx = 0.0
         sy = 0.0
         sz = 0.0
-        for dx in range(-radius, radius + 1):
-            for dy in range(-radius, radius + 1):
-                for dz in range(-radius, radius + 1):
-                    x = ix + dx
-                    y = iy + dy
-                    z = iz + dz
-                    if is_occupied(crop, x, y, z):
-                        sx -= dx
-                        sy -= dy
-                        sz -= dz
+        for x in range(max(ix - radius, 0), min(ix + radius + 1, crop.shape[0])):
+            for y in range(max(iy - radius, 0), min(iy + radius + 1, crop.shape[1])):
+                n = 0
+                for z in range(max(iz - radius, 0), min(iz + radius + 1, crop.shape[2])):
+                    occupied = crop[x, y, z] >> 7
+                    n += occupied
+                    sz -= occupied * (z - iz)
+                sx -= n * (x - ix)
+                sy -= n * (y - iy)
         length = math.sqrt(sx * sx + sy * sy + sz * sz)
         if length > 1e-9:
             normals[m, 0] = sx / length

@@ -27,6 +27,7 @@ from mocap.likelihood.residuals._outline_kernels import (
     Rays,
     nearest_of_labels,
     outline_equations,
+    slopes_at,
 )
 from mocap.likelihood.residuals._pull_kernels import FleshPoints
 from mocap.likelihood.residuals.surface import flesh_sample
@@ -37,7 +38,20 @@ _MIN_OUTLINE_PX = 12
 _EDGE_KERNEL = np.ones(
     (17, 17), dtype=np.uint8
 )  # the edge of what hides people is known to two cells of 4 px
+_SOFT_PX = 2.0  # standard deviation of the blur under which an outline has a direction
+_LEAST_SLOPE = 1e-4  # per pixel
 _NEAR_PX = 9  # how far from the projected hull an outline may still be the person's
+
+
+def _soft_slope(std_px: float) -> tuple[Array, Array]:
+    """Weights of neighbours, from left to right, that blur a row of pixels, and those that give the blurred slope."""
+    reach = np.arange(-round(4 * std_px), round(4 * std_px) + 1)
+    weight = np.exp(-0.5 * (reach / std_px) ** 2)
+    weight /= weight.sum()
+    return weight, weight * reach / std_px**2
+
+
+_SOFT_SLOPE = _soft_slope(_SOFT_PX)
 
 
 @dataclass(frozen=True)
@@ -232,13 +246,10 @@ def _camera_outline(
     if len(at) == 0:
         return None
     at = at[np.unique(np.linspace(0, len(at) - 1, n_points).astype(int))]
-    soft = cv2.GaussianBlur(crop.astype(np.float32), (0, 0), 2.0)
-    gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0)
-    gy = cv2.Sobel(soft, cv2.CV_32F, 0, 1)
-    normal = -np.column_stack([gx[at[:, 1], at[:, 0]], gy[at[:, 1], at[:, 0]]]).astype(np.float64)
-    length = np.linalg.norm(normal, axis=1)
-    clear = length > 1e-3
-    normal = normal[clear] / length[clear, None]
+    slope = -slopes_at(crop, at, *_SOFT_SLOPE)
+    length = np.linalg.norm(slope, axis=1)
+    clear = length > _LEAST_SLOPE
+    normal = slope[clear] / length[clear, None]
     # The outline runs between the last pixel of the silhouette and the next.
     return at[clear] + low + 0.5 * normal, normal, near, low
 

@@ -9,6 +9,7 @@ particles; a segment whose bounding sphere lies inside the crop needs no test pe
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -354,3 +355,28 @@ def limb_scores_kernel(states, chain, segments, box, crop, taken, counts):
             counts[n, part[s], 3] += surface
         for i in range(index.shape[0]):
             taken[index[i]] &= _TAKEN
+
+
+@njit(cache=True, nogil=True)
+def axes_in_volume(start, end, crop, lower, voxel_size, share):
+    """Share of the middles and ends of the axes start..end (N, K, 3) that lie in occupied voxels: fills share (N,)."""
+    n_axes = start.shape[1]
+    for n in range(start.shape[0]):
+        count = 0
+        for k in range(n_axes):
+            for half in range(2):
+                x, y, z = end[n, k, 0], end[n, k, 1], end[n, k, 2]
+                if half == 0:
+                    x, y, z = (
+                        0.5 * (x + start[n, k, 0]),
+                        0.5 * (y + start[n, k, 1]),
+                        0.5 * (z + start[n, k, 2]),
+                    )
+                ix = math.floor((x - lower[0]) / voxel_size)
+                iy = math.floor((y - lower[1]) / voxel_size)
+                iz = math.floor((z - lower[2]) / voxel_size)
+                if ix < 0 or iy < 0 or iz < 0:
+                    continue
+                if ix < crop.shape[0] and iy < crop.shape[1] and iz < crop.shape[2]:
+                    count += crop[ix, iy, iz] >> 7
+        share[n] = count / (2 * n_axes)

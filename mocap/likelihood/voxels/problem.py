@@ -13,9 +13,8 @@ from mocap.body.kinematics import cones_of_particles
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.propagation import truncated_gaussian_step
-from mocap.likelihood.voxels._exact_kernels import MAX_LIMB_PARTS
+from mocap.likelihood.voxels._exact_kernels import MAX_LIMB_PARTS, axes_in_volume
 from mocap.likelihood.voxels.exact import (
-    OCCUPIED_BIT,
     PackedVolume,
     VoxelLikelihoodSettings,
     factorised_log_likelihood,
@@ -74,12 +73,11 @@ class VoxelProblem:
         """Share of the points in the middle and at the end of a limb's cones that lie in occupied voxels, of particles
         (N, D): (N,)."""
         start, end = cones_of_particles(self.body, particles, np.isin(self.body.cones.part, limb))
-        at = np.concatenate([0.5 * (start + end), end], axis=1)
-        cell = np.floor((at - self.volume.lower_m) / self.volume.grid.voxel_size_m).astype(np.int64)
-        shape = self.volume.crop.shape
-        inside = np.all((cell >= 0) & (cell < shape), axis=2)
-        value = self.volume.crop[tuple(np.where(inside[..., None], cell, 0).transpose(2, 0, 1))]
-        return np.asarray((inside & (value >= OCCUPIED_BIT)).mean(axis=1))
+        share = np.empty(len(particles))
+        axes_in_volume(
+            start, end, self.volume.crop, self.volume.lower_m, float(self.volume.grid.voxel_size_m), share
+        )
+        return share
 
     def occupancy(self, particles: Array, parts: Sequence[int] | None = None, *, own: bool = False) -> Array:
         """Share of flesh in occupied voxels, of particles (N, D): (N, P'), one column per part asked for.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from threading import Lock
 
 from mocap.data import Tracks
 from mocap.io.session import Session
@@ -50,11 +51,12 @@ def views_of_tracks(
 ) -> Callable[[int], ViewsOf]:
     """person -> frame -> what the cameras' keypoints say of it: figures go to the track that they surround."""
     reader, views = store.reader(keypoints_product.PRODUCT), marker_views(session.rig)
-    slack_m = keypoint_slack_m(config)
+    slack_m, reading = keypoint_slack_m(config), Lock()  # persons are followed on threads of their own
 
     @lru_cache(maxsize=64)
     def of_frame(frame: int) -> dict[int, KeypointViews]:
-        arrays = reader.read(frame)
+        with reading:
+            arrays = reader.read(frame)
         figures = [figure_at(arrays, i, session.rig) for i in range(len(arrays["camera"]))]
         here = tracks.frame == frame
         persons, places = tracks.person[here].tolist(), tracks.xyz[here]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ from mocap.products.owners import owners_at
 from mocap.products.poses import store_poses, stored_poses
 from mocap.products.tracks import stored_tracks
 from mocap.progress import Progress
+from mocap.threads import in_parallel
 from mocap.volume import surface_voxels
 
 
@@ -78,22 +80,26 @@ def estimate_poses(
     progress: Progress,
     observation_of: ObservationOf = volumes_alone,
 ) -> list[PersonPoses]:
-    """Poses of every tracked person, one filter each, from the products of the earlier stages in the store."""
+    """Poses of every tracked person, one filter each, from the products of the earlier stages in the store.
+
+    Several persons share the threads, one each; a single one has them all. The result is the same.
+    """
     grid, rig_offset = stored_grid(store), rig_offset_m(store)
-    sized = load_body_model(config.body_model("voxels")).height_m
+    model = config.body_model("voxels")
+    given = config.body.height_m or load_body_model(model).height_m or session.person_height_m
+    n_of_person = n_threads if len(tracks.persons) < 2 else 1
     n_total = len(tracks)
-    done = 0
-    results = []
+    done, counting = 0, Lock()
 
     def tick(n: int) -> None:
         nonlocal done
-        done += n
-        progress("pose", done, n_total)
+        with counting:
+            done += n
+            progress("pose", done, n_total)
 
-    for person in tracks.persons:
+    def poses_of(person: int) -> PersonPoses:
         own = tracks.of(person)
         hull_of = hulls_of_person(session, store, person)
-        given = config.body.height_m or sized or session.person_height_m
         height = (
             HeightEstimate(given, True)
             if given is not None
@@ -103,10 +109,10 @@ def estimate_poses(
             grid,
             session.fps,
             height.height_m,
-            config.body_model("voxels"),
+            model,
             config.pose,
             config.likelihood,
-            n_threads,
+            n_of_person,
             config.method,
         )
         poses = follow_person(
@@ -117,8 +123,9 @@ def estimate_poses(
             progress=tick,
         )
         covariance = widened(poses.landmark_covariance, rig_offset, config.method.deviation)
-        results.append(replace(poses, landmark_covariance=covariance))
-    return results
+        return replace(poses, landmark_covariance=covariance)
+
+    return in_parallel(poses_of, tracks.persons, n_threads)
 
 
 def hulls_of_person(session: Session, store: StageStore, person: int) -> HullOf:
