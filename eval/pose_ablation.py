@@ -44,19 +44,22 @@ SCORES = (
 FIELDS = ("session", "variant", "seed", *SCORES, "seconds")
 
 
+def session_folder(name: str, work: Path) -> Path:
+    """The folder of a development session, dev:NAME, or of a scene, which is made when it is not there."""
+    if name.startswith("dev:"):
+        return DEV / name.removeprefix("dev:")
+    from mocap.synth import synthesise
+
+    folder = work / "sessions" / name
+    return folder if folder.exists() else synthesise(name, folder)
+
+
 def prepare(name: str, work: Path, *, trust_store: bool) -> tuple[Path, Path]:
     """Session folder and run folder with masks, volumes and tracks in its store."""
     from mocap.pipeline.config import load_config
     from mocap.pipeline.run import run_session
 
-    if name.startswith("dev:"):
-        folder = DEV / name.removeprefix("dev:")
-    else:
-        from mocap.synth import synthesise
-
-        folder = work / "sessions" / name
-        if not folder.exists():
-            synthesise(name, folder)
+    folder = session_folder(name, work)
     out = work / "ablation" / name.replace(":", "_")
     if trust_store and (out / "store.zarr").exists():
         return folder, out
