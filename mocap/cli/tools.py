@@ -33,12 +33,23 @@ def view(
     show: Annotated[
         bool, typer.Option("--open", help="Open it in the Rerun viewer, a program of its own.")
     ] = False,
+    pictures: Annotated[
+        str | None,
+        typer.Option(
+            "--pictures", help="Cameras whose pictures it holds, such as cam_0,cam_3, or none; else all."
+        ),
+    ] = None,
 ) -> None:
     """The 3D scene of a finished run: where it is, written anew, or opened."""
     if session is not None:
         from mocap.pipeline.finished import rewrite_scene
 
-        scene = rewrite_scene(result, session, out)
+        scene = rewrite_scene(result, session, out, pictures=_cameras(pictures))
+    elif pictures is not None:
+        raise MocapError(
+            "a scene with other pictures needs the session",
+            remedy="write mocap view OUT SESSION --pictures cam_0,cam_3",
+        )
     elif out is not None:
         raise MocapError("a new scene needs the session", remedy="write mocap view OUT SESSION -o FILE")
     else:
@@ -54,15 +65,39 @@ def view(
         typer.echo(f"Look at it with: mocap view {result} --open, or any Rerun viewer")
 
 
-def report(result: RunPath, session: Annotated[Path, typer.Argument(help="The run's session.")]) -> None:
-    """Write report.html of a finished run again, without running anything."""
-    from mocap.pipeline.finished import rewrite_report
+def report(
+    result: RunPath,
+    session: Annotated[Path, typer.Argument(help="The run's session.")],
+    video: Annotated[
+        bool,
+        typer.Option(
+            "--video", help="A video of every camera with the bodies drawn in, instead of the page."
+        ),
+    ] = False,
+    cameras: Annotated[
+        str | None, typer.Option("--cameras", help="Cameras of the videos, such as cam_0,cam_3; else all.")
+    ] = None,
+) -> None:
+    """Write report.html of a finished run again, without running anything; or videos of its cameras."""
+    from mocap.pipeline.finished import rewrite_report, write_overlays
 
-    typer.echo(f"Look at {rewrite_report(result, session)}")
+    if not video:
+        typer.echo(f"Look at {rewrite_report(result, session)}")
+        return
+    with progress_bar() as progress:
+        written = write_overlays(result, session, cameras=_cameras(cameras), progress=progress)
+    typer.echo(f"{len(written)} video{'s' * (len(written) != 1)}: {', '.join(str(path) for path in written)}")
+
+
+def _cameras(text: str | None) -> tuple[str, ...] | None:
+    """Names of cameras as typed; `none` = no camera, None = all."""
+    if text is None:
+        return None
+    return () if text.strip() == "none" else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _open_viewer(scene: Path) -> None:
-    """Start the viewer of rerun-sdk and let it live on its own."""
+    """Start the viewer of rerun-sdk and let it live on its own; its usage statistics are switched off before."""
     from importlib.util import find_spec
 
     if find_spec("rerun") is None:
@@ -72,7 +107,9 @@ def _open_viewer(scene: Path) -> None:
             otherwise="open the file in a Rerun viewer of your own",
             path=scene,
         )
-    subprocess.Popen([sys.executable, "-m", "rerun", str(scene)], start_new_session=True)
+    rerun = [sys.executable, "-m", "rerun"]
+    subprocess.run([*rerun, "analytics", "disable"], check=False, capture_output=True)
+    subprocess.Popen([*rerun, str(scene)], start_new_session=True)
 
 
 def export(

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from mocap.errors import MocapError
+from mocap.errors import MocapError, did_you_mean
 from mocap.files import load_json
 from mocap.io._files import writing
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.lock import sole_use
+from mocap.pipeline.overlay_video import overlay_videos
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, record_from_json
 from mocap.pipeline.report_data import write_run_report
 from mocap.pipeline.resolution import at_useful_size
@@ -19,6 +21,7 @@ from mocap.pipeline.scene_frames import write_scene
 from mocap.products.one_run import check_one_run
 from mocap.products.poses import stored_poses
 from mocap.products.tracks import stored_tracks
+from mocap.progress import Progress, no_progress
 
 
 def open_run(out: Path, session: Path) -> RunResult:
@@ -51,12 +54,40 @@ def rewrite_report(out: Path, session: Path) -> Path:
     return path
 
 
-def rewrite_scene(out: Path, session: Path, path: Path | None = None) -> Path:
-    """The Rerun scene of a finished run, into OUT/scene.rrd or another file; gives the file."""
+def rewrite_scene(
+    out: Path, session: Path, path: Path | None = None, *, pictures: Sequence[str] | None = None
+) -> Path:
+    """The Rerun scene of a finished run, into OUT/scene.rrd or another file; gives the file.
+
+    pictures : cameras whose pictures it holds, None = all.
+    """
     target = out / "scene.rrd" if path is None else path
     with sole_use(out, f"mocap view {out}"):
-        write_scene(open_run(out, session).found, target)
+        found = open_run(out, session).found
+        check_cameras(found, pictures)
+        write_scene(found, target, pictures=pictures)
     return target
+
+
+def write_overlays(
+    out: Path, session: Path, *, cameras: Sequence[str] | None = None, progress: Progress = no_progress
+) -> list[Path]:
+    """A video per camera of a finished run with the bodies drawn in, OUT/overlay_CAMERA.mp4; gives the files."""
+    with sole_use(out, f"mocap report {out} --video"), writing(out):
+        found = open_run(out, session).found
+        check_cameras(found, cameras)
+        return overlay_videos(found, out, cameras=cameras, progress=progress)
+
+
+def check_cameras(found: Found, names: Sequence[str] | None) -> None:
+    """Raises MocapError for a camera that the session does not have."""
+    for name in names or ():
+        if name not in found.session.rig.names:
+            raise MocapError(
+                f"the session has no camera {name!r}{did_you_mean(name, found.session.rig.names)}",
+                path=found.session.root,
+                remedy=f"name some of {', '.join(found.session.rig.names)}",
+            )
 
 
 def read_record(out: Path) -> RunRecord:

@@ -21,7 +21,7 @@ _OUTPUT = re.compile(
     r"run\.json|tracks\.csv|landmarks\.csv|angles\.csv|pose\.npz|scores\.json|body(_\d+)?\.toml|"
     r"person_\d+\.(bvh|trc|c3d|glb|mot|osim)|"
     r"person_\d+(_filled\.csv|_ik_filled\.csv|_ik\.(trc|mot|xml)|_markers\.xml|_scale\.xml)|"
-    r"scene\.rrd|report\.html"
+    r"scene\.rrd|report\.html|overlay_.+\.mp4"
 )
 
 

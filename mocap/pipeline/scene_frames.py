@@ -52,15 +52,18 @@ def rows_at(poses: Sequence[PersonPoses], frame: int) -> list[tuple[PersonPoses,
     return rows
 
 
-def write_scene(found: Found, path: Path) -> None:
-    """scene.rrd: cameras, images, coloured voxels and bodies on a time line."""
+def write_scene(found: Found, path: Path, *, pictures: Sequence[str] | None = None) -> None:
+    """scene.rrd: cameras, images, coloured voxels and bodies on a time line.
+
+    pictures : cameras whose pictures are kept, None = all.
+    """
     from mocap.view import write_rrd
 
     session = found.session
     write_rrd(
         path,
         session.rig,
-        scene_frames(found),
+        scene_frames(found, pictures),
         tracks=found.tracks,
         bounds_m=room_bounds(found),
         n_frames=len(shown_frames(session.frames)),
@@ -72,16 +75,22 @@ def shown_frames(frames: range) -> range:
     return frames[:: -(-len(frames) // _MOST_FRAMES) or 1]
 
 
-def scene_frames(found: Found) -> Iterator[SceneFrame]:
-    """The frames that are shown, in order, with pictures, hull and bodies; every product is opened once."""
+def scene_frames(found: Found, kept: Sequence[str] | None = None) -> Iterator[SceneFrame]:
+    """The frames that are shown, in order, with pictures, hull and bodies; every product is opened once.
+
+    kept : cameras whose pictures are shown, None = all; the clips of others are not read.
+    """
     from mocap.view import SceneFrame
 
     session = found.session
     frames = shown_frames(session.frames)
     with ExitStack() as stack:
         pictures = hull_of = None
-        if session.image_sources:
-            pictures = iter(stack.enter_context(FrameReader(session.image_sources, session.rig, frames)))
+        names = tuple(name for name in session.rig.names if kept is None or name in kept)
+        if session.image_sources and names:
+            sources = {name: session.image_sources[name] for name in names}
+            reader = FrameReader(sources, session.rig.subset(names), frames)
+            pictures = iter(stack.enter_context(reader))
         if found.hulls is not None:
             hull_of = partial(hull_at, found.hulls.reader(PRODUCT))
         for frame in frames:
@@ -90,7 +99,7 @@ def scene_frames(found: Found) -> Iterator[SceneFrame]:
             yield SceneFrame(
                 frame=frame,
                 time_s=frame / session.fps,
-                images=dict(zip(session.rig.names, images, strict=True)) if images else None,
+                images=dict(zip(names, images, strict=True)) if images else None,
                 hull=None if hull_of is None else hull_of(frame),
                 persons={p.person: p.landmarks[i] for p, i in rows},
                 parts={p.person: body_parts(p.body, p.states[i]) for p, i in rows},

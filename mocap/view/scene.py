@@ -85,7 +85,7 @@ def write_rrd(
     # is full.
     stream = rr.RecordingStream("mocap", recording_id=target.stem, send_properties=False)
     sink = stream.binary_stream()
-    stream.send_blueprint(_blueprint(rig), make_active=False, make_default=True)
+    stream.send_blueprint(_blueprint(rig), make_active=True, make_default=True)
     try:
         part.write_bytes(b"")  # an unwritable folder is noticed before the work
         try:
@@ -198,11 +198,16 @@ def _import_rerun(path: Path) -> Any:
 def _blueprint(rig: CameraRig) -> Any:
     import rerun.blueprint as rrb
 
-    pictures = [rrb.Spatial2DView(origin=_camera_path(c), name=c.name) for c in rig]
+    # Persons are drawn over every picture: the viewer projects them through its camera.
+    pictures = [
+        rrb.Spatial2DView(origin=_camera_path(c), name=c.name, contents=["$origin/**", "/world/persons/**"])
+        for c in rig
+    ]
+    half = (len(pictures) + 1) // 2
+    scene = rrb.Spatial3DView(origin="world", name="scene")
+    columns = [rrb.Vertical(*pictures[:half]), scene, rrb.Vertical(*pictures[half:])]
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(origin="world", name="scene"), rrb.Grid(*pictures), column_shares=[3, 2]
-        ),
+        rrb.Horizontal(*columns, column_shares=[1, 3, 1]),
         rrb.TimePanel(state="collapsed"),
         collapse_panels=True,
     )

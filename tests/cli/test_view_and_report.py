@@ -49,12 +49,17 @@ def test_the_report_is_the_one_of_the_run(made: Path, tmp_path: Path) -> None:
     assert (pictures(first), words(first)) == expected
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("zarr.json")} == stages
     assert not list((tmp_path / "out").glob("*.part"))
+    said = mocap("report", tmp_path / "out", made / "session", "--video")
+    assert said.code == 2
+    assert "no pictures" in said.err  # a session of masks
 
 
 def test_the_scene_is_written_again(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rerun", reason="needs the extra view")
     opened: list[list[str]] = []
+    told: list[list[str]] = []
     monkeypatch.setattr(subprocess, "Popen", lambda command, **more: opened.append(command))
+    monkeypatch.setattr(subprocess, "run", lambda command, **more: told.append(command))
     shutil.copytree(made / "out", tmp_path / "out")
     size = (tmp_path / "out" / "scene.rrd").stat().st_size
     assert str(tmp_path / "out" / "scene.rrd") in mocap("view", tmp_path / "out").out
@@ -69,6 +74,9 @@ def test_the_scene_is_written_again(made: Path, tmp_path: Path, monkeypatch: pyt
     assert opened == []  # no window unless asked
     assert mocap("view", tmp_path / "out", made / "session", "--open").code == 0
     assert opened[0][1:] == ["-m", "rerun", str(tmp_path / "out" / "scene.rrd")]
+    assert [command[1:] for command in told] == [["-m", "rerun", "analytics", "disable"]]
+    assert "no camera 'cam_9'" in mocap("view", tmp_path / "out", made / "session", "--pictures", "cam_9").err
+    assert "needs the session" in mocap("view", tmp_path / "out", "--pictures", "cam_0").err
 
 
 def test_mistakes(made: Path, tmp_path: Path) -> None:
