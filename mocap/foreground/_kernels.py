@@ -168,6 +168,22 @@ def difference(rows, background, threshold, y0, x0, w, largest, candidate):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def sampled_ratios(rows, background, limit, excluded, step, ratios):
+    """Largest difference over the channels as a share of a pixel's limit, over a raster of usable pixels; their number.
+
+    rows, background : (H, 3 W) uint8.  limit : (H, W) float32.  excluded : (H, W) uint8, 0 = may be used.  ratios : (at
+    least ceil(H / step) ceil(W / step),) float32 out.
+    """
+    n = 0
+    for y in range(step // 2, excluded.shape[0], step):
+        for x in range(step // 2, excluded.shape[1], step):
+            if excluded[y, x] == 0:
+                ratios[n] = np.float32(_far(rows[y], background[y], x)) / limit[y, x]
+                n += 1
+    return n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def median_gain(rows, background, excluded, step, gain):
     """Median ratio picture / background of each channel over a raster of usable pixels; their number.
 

@@ -22,10 +22,19 @@ METHODS = ("gaussian", "mog2", "knn")
 _OPENCV_RATE = {"mog2": 0.0, "knn": 1e-5}
 _REFERENCE_PIXELS = 640 * 480
 _GAIN_STEP = 16  # every 16th pixel in both directions tells the gain
+_FREE_SHARE = 0.1  # of the picture that must be free of persons to tell the gain
+# Six tenths of the largest of three differences lie below 1.42 standard deviations: 2.12 times that is three. The rest
+# may be persons and shadows that are not known yet.
+_USUAL, _THREE_SIGMA = 0.6, 2.12
+_MOST_NOISE = 6.0  # more is another picture
+_NOISIER = 1.25  # from which on the thresholds rise
+_NOISE_STEP = 0.1  # a smaller change of the noise leaves the thresholds
+_LEAST_SAMPLES = 100
+_BLOCK_PX = 5
+_COLOUR_SHARE = 1.0
 # A lamp, flicker in bands and daylight change the light of a large part of the picture; a person does not.
 _LIGHT_CELL_PX = (80, 32)
 _LIGHT_STEPS_PX = (16, 6)
-_LIGHT_EVERY = 4  # pictures; as long as the light is uneven, every picture is looked at
 _UNEVEN = 0.04
 _UNEVEN_SHARE = 0.3
 _MOST_LEFT = 0.2  # of the picture differs when the light is divided out: persons; else it was not the light
@@ -70,7 +79,8 @@ class ForegroundSettings:
         'gaussian' method adapts.
     hold_frames : a pixel that has been foreground for so many pictures on end becomes background, unless
         protected; None = never.
-    compensate_gain : divide out a brightness change of the whole picture, per channel.
+    compensate_gain : divide out a brightness change of the whole picture, per channel, or of large parts of it; and
+        raise the thresholds where what is left is noisier than the background was.
     max_foreground_share : above this share of the picture the mask is not usable.
     """
 
@@ -174,19 +184,17 @@ class Segmenter:
         if roi is not None and roi.shape != (height, width):
             raise ValueError(f"roi: expected shape {(height, width)}, got {roi.shape}")
         self._n_seen = 0
-        self._is_uneven = False
+        self._colour_noise = 0.0
         self._mean = np.array(background.mean, dtype=np.float32).reshape(height, -1)
         self._background = np.clip(np.round(self._mean), 0, 255).astype(np.uint8)
-        self._noise = float(np.median(background.std))
-        self._weak_level = 0.5 * max(s.min_difference, s.threshold_sigma * self._noise)
+        self._learnt_noise = float(np.median(background.std))
         limit = np.maximum(s.threshold_sigma * background.std.max(axis=2), s.min_difference)
         limit += s.edge_jitter_px * _slope(self._background.reshape(self.shape))
-        threshold = np.clip(np.round(limit), 1, 254).astype(np.uint8)
+        self._limit = limit.astype(np.float32)
         self._outside = np.zeros((height, width), dtype=np.uint8)
         if roi is not None:
             self._outside = (~roi).astype(np.uint8)
-            threshold[~roi] = 255  # which no difference exceeds
-        self._threshold = threshold
+        self._set_noise(1.0)
         self._covered = _NOTHING if background.covered is None else background.covered.astype(np.uint8)
         if roi is not None and self._covered.size:
             self._covered[~roi] = 0
@@ -198,6 +206,15 @@ class Segmenter:
         self._subtractor = None
         if s.method != "gaussian":
             self._subtractor = _trained_subtractor(s.method, background)
+
+    def _set_noise(self, times: float) -> None:
+        """Thresholds for pictures that are so many times as noisy as was learnt."""
+        s = self.settings
+        self._times_noise = times
+        self._noise = times * self._learnt_noise
+        self._weak_level = 0.5 * max(s.min_difference, s.threshold_sigma * self._learnt_noise) * times
+        self._threshold = np.clip(np.round(times * self._limit), 1, 254).astype(np.uint8)
+        self._threshold[self._outside != 0] = 255  # which no difference exceeds
 
     @property
     def background(self) -> Image:
@@ -221,6 +238,7 @@ class Segmenter:
         rows = np.require(image, requirements=("C", "W")).reshape(self.shape[0], -1)
         if self.settings.compensate_gain:
             rows = self._without_gain(rows)
+            self._follow_noise(rows)
         shadow = np.zeros(self.shape[:2], dtype=np.uint8)
         mask = self._joined([self._split(rows, window, shadow) for window in self._windows(rows)], shadow)
         if self.settings.adaptation > 0 or self.settings.hold_frames is not None:
@@ -242,8 +260,7 @@ class Segmenter:
         least = self.settings.min_area_px * _area_scale(self.shape)
         for _, _, regions in pieces:
             least = max(least, self.settings.min_area_share * regions.area.max(initial=0))
-        for window in self._touched:
-            self._near[window.slices] = self._outside[window.slices]
+        self._clear_near()
         self._touched = [window for window, _, _ in pieces]
         for window, found, regions in pieces:
             drop = (regions.area < least) | (regions.flagged == 0)
@@ -265,20 +282,64 @@ class Segmenter:
         step = max(1, _scaled_px(_GAIN_STEP, self.shape))
         gain = np.empty(3)
         n = _kernels.median_gain(rows, self._background, self._near, step, gain)
-        if n * step * step < 0.1 * self._near.size:
-            return rows
+        if n * step * step < _FREE_SHARE * self._near.size:
+            # The light changed, all became foreground, and nothing would be left to tell the gain from.
+            self._forget_foreground()
+            n = _kernels.median_gain(rows, self._background, self._near, step, gain)
+            if n * step * step < _FREE_SHARE * self._near.size:
+                return rows
         if (field := self._light_field(rows, float(gain.mean()))) is not None:
             light = np.clip(field[:, :, None] * (gain / gain.mean()).astype(np.float32), 0.4, 2.5)
             even = np.clip(np.round(rows.reshape(self.shape) / light), 0, 255).astype(np.uint8)
             if self._share_that_differs(even, step) < _MOST_LEFT:
                 return even.reshape(rows.shape)
-            self._is_uneven = False  # no light explains it: another place, another camera
+            # Else no light explains it: another place, another camera.
         if np.abs(gain - 1).max() < 0.004:
             return rows
         factor = np.tile(np.round(65536 / np.clip(gain, 0.5, 2.0)).astype(np.int64), self.shape[1])
         out = np.empty_like(rows)
         _kernels.scale_rows(rows, self._background, factor, out)
         return out
+
+    def _forget_foreground(self) -> None:
+        """Take no part of the picture for a person's until the next one has been split."""
+        self._clear_near()
+        self._touched = []
+
+    def _clear_near(self) -> None:
+        for window in self._touched:
+            self._near[window.slices] = self._outside[window.slices]
+
+    def _follow_noise(self, rows: Bytes) -> None:
+        """Raise the thresholds where the picture is noisier than the background was: more gain, more compression."""
+        step = max(1, _scaled_px(_GAIN_STEP, self.shape))
+        height, width = self.shape[:2]
+        ratios = np.empty(-(-height // step) * -(-width // step), dtype=np.float32)
+        n = _kernels.sampled_ratios(rows, self._background, self._limit, self._near, step, ratios)
+        if n < _LEAST_SAMPLES:
+            return
+        times = _THREE_SIGMA * _usual(ratios[:n])
+        times = times if _NOISIER < times < _MOST_NOISE else 1.0
+        if abs(times - self._times_noise) > _NOISE_STEP * self._times_noise:
+            self._set_noise(times)
+        if self._n_seen % _ADAPT_ROWS == 0:
+            self._colour_noise = self._colour_noise_of(rows)
+
+    def _colour_noise_of(self, rows: Bytes) -> float:
+        """Three standard deviations of the colour, grey levels, averaged over blocks as compression leaves them."""
+        height, width = self.shape[:2]
+        size = (max(1, width // _BLOCK_PX), max(1, height // _BLOCK_PX))
+        picture, background = (
+            cv2.resize(image.reshape(self.shape), size, interpolation=cv2.INTER_AREA).astype(np.float32)
+            for image in (rows, self._background)
+        )
+        free = cv2.resize(self._near, size, interpolation=cv2.INTER_NEAREST) == 0
+        if np.count_nonzero(free) < _LEAST_SAMPLES:
+            return self._colour_noise
+        picture, background = picture[free], background[free]
+        ratio = (picture * background).sum(axis=1) / ((background * background).sum(axis=1) + 1)
+        residual = np.abs(picture - ratio[:, None] * background).max(axis=1)
+        return _THREE_SIGMA * _usual(residual)
 
     def _share_that_differs(self, picture: Image, step: int) -> float:
         """Share of the looked-at pixels, every `step`-th each way, that are not the background's."""
@@ -291,9 +352,6 @@ class Segmenter:
 
     def _light_field(self, rows: Bytes, gain: float) -> NDArray[np.float32] | None:
         """The light relative to the background, (H, W), where it has changed unevenly; None where it has not."""
-        if not self._is_uneven and self._n_seen % _LIGHT_EVERY:
-            return None
-        self._is_uneven = False
         height, width = self.shape[:2]
         w, h = (_scaled_px(length, self.shape) for length in _LIGHT_CELL_PX)
         cells = np.empty((-(-height // h), -(-width // w)), dtype=np.float32)
@@ -304,7 +362,6 @@ class Segmenter:
             uneven = known & _without_jumps(cells, _JUMP * gain) & (np.abs(cells - gain) > _UNEVEN * gain)
             if np.count_nonzero(uneven) < _UNEVEN_SHARE * cells.size:
                 return None
-        self._is_uneven = True
         even = known & (np.abs(cells - cv2.medianBlur(cells, 5)) < _JUMP * gain)
         near = cv2.GaussianBlur(even.astype(np.float32), (0, 0), 1.0)
         around = cv2.GaussianBlur(np.where(even, cells, np.float32(0)), (0, 0), 1.0)
@@ -358,9 +415,11 @@ class Segmenter:
             half=side // 2,
             darkest=s.shadow_darkest,
             brightest=s.shadow_brightest,
-            chroma_pixel=max(s.shadow_chroma_pixel, 4.0 * self._noise),
+            chroma_pixel=max(s.shadow_chroma_pixel, 4.0 * self._noise, 3.0 * self._colour_noise),
             chroma=s.shadow_chroma,
-            least_chroma=max(s.shadow_chroma_least, 2.5 * self._noise * 2**0.5 / side),
+            least_chroma=max(
+                s.shadow_chroma_least, 2.5 * self._noise * 2**0.5 / side, _COLOUR_SHARE * self._colour_noise
+            ),
             edge=s.shadow_edge,
             noise=_EDGE_NOISE * self._noise,
         )
@@ -400,6 +459,12 @@ class Segmenter:
             self._n_seen % _ADAPT_ROWS, _ADAPT_ROWS, rate, patience,
         )  # fmt: skip
         self._n_seen += 1
+
+
+def _usual(values: NDArray[np.float32]) -> float:
+    """What most values do not exceed."""
+    k = int(_USUAL * len(values))
+    return float(np.partition(values, k)[k])
 
 
 def clean_mask(mask: Mask, settings: ForegroundSettings | None = None) -> Mask:

@@ -341,3 +341,57 @@ def test_a_large_person_is_no_change_of_the_light():
     mask[20:110, 50:90] = True  # a fifth of the picture
     picture = photograph(with_person(scene, mask, (60.0, 80.0, 140.0)), rng)
     assert iou(segmenter.segment(picture).mask, mask) > MIN_IOU
+
+
+@pytest.mark.parametrize("pictures_before", range(4))
+def test_light_that_jumps_is_followed_at_once_whenever_it_does(pictures_before):
+    """A lamp at one side; afterwards all is foreground for who does not divide it out, and he never gets free again."""
+    rng = np.random.default_rng(14)
+    scene = 0.6 * wall(rng)
+    segmenter = Segmenter(learn_background(photograph(scene, rng) for _ in range(12)), SETTINGS)
+    mask = person_at(30)
+    lit = np.where(mask[:, :, None], (40.0, 60.0, 110.0), scene)
+    for _ in range(pictures_before):
+        segmenter.segment(photograph(lit, rng))
+    light = np.linspace(1.0, 1.5, W)[None, :, None]
+    assert iou(segmenter.segment(photograph(lit * light, rng)).mask, mask) > 0.8
+    assert iou(segmenter.segment(photograph(lit * 1.6, rng)).mask, mask) > 0.8
+
+
+def test_a_mask_of_everything_does_not_hide_the_light_for_good():
+    rng = np.random.default_rng(15)
+    scene = 0.6 * wall(rng)
+    segmenter = Segmenter(learn_background(photograph(scene, rng) for _ in range(12)), SETTINGS)
+    segmenter.segment(np.full((H, W, 3), 250, np.uint8))  # something stands before the lens
+    mask = person_at(30)
+    lit = np.where(mask[:, :, None], (40.0, 60.0, 110.0), scene)
+    assert iou(segmenter.segment(photograph(1.3 * lit, rng)).mask, mask) > 0.85
+
+
+def test_a_recording_that_is_noisier_than_the_empty_clip():
+    rng = np.random.default_rng(16)
+    scene = wall(rng)
+    segmenter = Segmenter(learn_background(photograph(scene, rng) for _ in range(12)), SETTINGS)
+    mask = person_at(60)
+    picture = with_person(scene, mask, (40.0, 60.0, 140.0)) + rng.normal(0, 9, scene.shape)
+    found = segmenter.segment(np.clip(picture, 0, 255).astype(np.uint8)).mask
+    assert iou(found, mask) > 0.85
+    clean = segmenter.segment(photograph(with_person(scene, mask, (40.0, 60.0, 140.0)), rng)).mask
+    assert iou(clean, mask) > MIN_IOU  # and back
+
+
+def test_strong_compression_makes_no_persons_of_shadows():
+    """Compression moves the colour of whole blocks; an empty clip that was not compressed knows nothing of it."""
+    rng = np.random.default_rng(17)
+    scene = cv2.resize(wall(rng), (4 * W, 4 * H))
+    noise = [rng.normal(0, NOISE, scene.shape) for _ in range(4)]
+    segmenter = Segmenter(learn_background(np.clip(scene + n, 0, 255).astype(np.uint8) for n in noise))
+    mask = np.zeros((4 * H, 4 * W), dtype=bool)
+    mask[120:400, 240:320] = True
+    picture = np.clip(with_person(scene, mask, (40.0, 60.0, 140.0)), 0, 255).astype(np.uint8)
+    shadow = cv2.dilate(np.roll(mask, 25, axis=1).astype(np.uint8), np.ones((9, 9))) > 0
+    data = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 12])[1]
+    poor = np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[:, :, ::-1])
+    found = segmenter.segment(poor).mask
+    assert iou(found, mask) > 0.85
+    assert np.count_nonzero(found & shadow & ~mask) < 0.15 * np.count_nonzero(shadow & ~mask)

@@ -60,6 +60,19 @@ def test_difference_and_search_count(seed: int) -> None:
             assert counts[cy, cx] == np.count_nonzero(block)
 
 
+def test_sampled_ratios() -> None:
+    image, background, _ = pictures(0)
+    rng = np.random.default_rng(5)
+    limit = rng.uniform(5, 20, (H, W)).astype(np.float32)
+    excluded = (rng.random((H, W)) < 0.3).astype(np.uint8)
+    ratios = np.full(H * W, np.nan, dtype=np.float32)
+    n = kernels.sampled_ratios(image.reshape(H, -1), background.reshape(H, -1), limit, excluded, 3, ratios)
+    raster = (slice(1, None, 3), slice(1, None, 3))
+    expected = (far(image, background) / limit)[raster][excluded[raster] == 0]
+    np.testing.assert_allclose(ratios[:n], expected, rtol=1e-6)
+    assert np.isnan(ratios[n:]).all()
+
+
 def test_median_gain_and_scaling() -> None:
     rng = np.random.default_rng(4)
     background = rng.integers(40, 160, (H, W, 3), dtype=np.uint8)
