@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import joint_transforms, landmarks_of, load_body_model, neutral_state, scale_body
-from mocap.data import BONES, LANDMARKS
+from mocap.data import bones_between
 from mocap.metrics.anatomy import ISB_FROM_OURS, segment_frames, segment_joints
 
 if TYPE_CHECKING:
@@ -85,9 +85,9 @@ def _draw(ax: Any, body: Body, state: Array, view: tuple[str, tuple[int, float],
         return np.stack([right_sign * points[..., right], up_sign * points[..., up]], axis=-1)
 
     marks = landmarks_of(body, state[None])[0]
-    for start, end in BONES:
+    for start, end in bones_between(len(marks)):
         side = end.partition("_")[0]
-        ends = flat(marks[[LANDMARKS.index(start), LANDMARKS.index(end)]])
+        ends = flat(marks[[start, end]])
         ax.plot(*ends.T, color=SIDES.get(side, "#555555"), lw=5, alpha=0.35, solid_capstyle="round")
     R, t = joint_transforms(body, state[None])
     frames = segment_frames(body.joints, body.offset, R)

@@ -202,7 +202,7 @@ def body_presets() -> tuple[str, ...]:
 
 
 def load_body_model(name_or_path: str | Path) -> BodyModel:
-    """Read a body file: a preset's name (`anthropometric`, `girdle`, `thesis`) or a path to a TOML file.
+    """Read a body file: a preset's name (`anthropometric`, `girdle`, `thesis`, `whole`) or a path to a TOML file.
 
     Raises MocapError with the dotted path of the first offending key.
     """

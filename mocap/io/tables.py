@@ -235,7 +235,7 @@ def read_feet_and_hands_csv(path: Path | str) -> list[FeetAndHands]:
         if point in there:
             raise _bad(path, line, f"{name} of person {person} in frame {frame} is there twice")
         places = (_number(path, line, row, c, may_miss=True) for c in ("x_m", "y_m", "z_m"))
-        there[point] = (*places, _number(path, line, row, "in_contact"))
+        there[point] = (*places, _number(path, line, row, "in_contact", may_miss=True))
     return [_feet_and_hands(person, found[person]) for person in sorted(found)]
 
 

@@ -104,8 +104,8 @@ class BodyConfig(_Section):
     """The body model."""
 
     model: NameOrFile = "auto"
-    """A preset (`anthropometric`, `girdle`, `thesis`) or a body file; `auto` = `girdle` where poses are refined on
-    volumes, else `anthropometric`."""
+    """A preset (`anthropometric`, `girdle`, `thesis`, `whole`) or a body file; `auto` = `girdle` where poses are
+    refined on volumes, else `anthropometric`."""
     height_m: float | None = Field(default=None, gt=0.3, lt=2.6)
     """Standing height; the body file's value, the session's or the volume decides when absent."""
     sizing: Literal["head", "poses"] = "head"

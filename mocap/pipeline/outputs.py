@@ -37,8 +37,14 @@ from mocap.pose.angles import angles_of
 from mocap.pose.method import AngleSettings
 from mocap.pose.opensim import opensim_bodies, opensim_coordinates
 from mocap.pose.result import PersonPoses
+from mocap.pose.steps import Gait, gait_of
 from mocap.products.poses import body_files
 from mocap.progress import Progress
+
+STEP_COLUMNS = (
+    *("person", "foot", "strike_frame", "strike_std_frames", "off_frame", "off_std_frames", "x_m", "y_m"),
+    *("length_m", "width_m", "time_s", "stance_s", "swing_s", "speed_m_s"),
+)
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,7 @@ def write_tables(found: Found, config: Config, folder: Path, *, has_poses: bool)
         return
     write_landmarks_csv(folder / "landmarks.csv", found.motions)
     write_angles_csv(folder / "angles.csv", angles_of_run(found, config))
+    write_steps_csv(folder / "steps.csv", gaits_of_run(found, config), found)
     write_pose_npz(folder / "pose.npz", found.poses)
     for name, text in body_files(found.store, found.poses).items():
         atomic_text(folder / name, text)
@@ -70,6 +77,32 @@ def write_tables(found: Found, config: Config, folder: Path, *, has_poses: bool)
 def angles_of_run(found: Found, config: Config) -> list[AngleSeries]:
     """The anatomical angles of every person."""
     return [angles_of(p, found.session.fps, config.method.angles) for p in found.poses]
+
+
+def gaits_of_run(found: Found, config: Config) -> list[Gait]:
+    """Contacts and steps of every person."""
+    return [gait_of(p, found.session.fps, config.method.contact) for p in found.poses]
+
+
+def write_steps_csv(path: Path, gaits: Sequence[Gait], found: Found) -> None:
+    """One row per stance, by person and time, with the step that it ends where there is one; unknown = empty."""
+    lines = [",".join(STEP_COLUMNS)]
+    for gait, poses in zip(gaits, found.poses, strict=True):
+        first = int(poses.frames[0]) if len(poses.frames) else 0
+        steps = {step.stance: step for step in gait.steps}
+        for stance in gait.stances:
+            step = steps.get(stance)
+            numbers = (
+                None if stance.strike is None else stance.strike + first,
+                stance.strike_std,
+                None if stance.off is None else stance.off + first,
+                stance.off_std,
+                *stance.place,
+                *(getattr(step, name, None) for name in STEP_COLUMNS[8:]),
+            )
+            cells = ["" if v is None else str(v) if isinstance(v, int) else f"{v:.4f}" for v in numbers]
+            lines.append(",".join([str(gait.person), stance.side, *cells]))
+    atomic_text(path, "\n".join(lines) + "\n")
 
 
 def write_exports(found: Found, config: Config, folder: Path, *, progress: Progress) -> list[str]:

@@ -18,6 +18,7 @@ OUTPUT_WORDS = {
     "tracks.csv": "where every person is in every frame, how certain that is, and whether he was seen",
     "landmarks.csv": "landmarks per person and frame, with standard deviations, metres",
     "angles.csv": "anatomical angles per person and frame, with standard deviations, degrees",
+    "steps.csv": "foot contacts and steps of every person",
     "pose.npz": "joint angles, root, landmark covariances",
     "body.toml": "the person's body as sized, for `body.model` of another run (body_1.toml and so on of several)",
     "scene.rrd": "cameras, images, voxels and bodies on a time line, for the Rerun viewer",

@@ -302,6 +302,45 @@ class SmoothSettings(_Strict):
     """Of the body's fit to the smoothed points."""
 
 
+@dataclass(frozen=True)
+class ContactSettings(_Strict):
+    """When heels and toes rest on the floor, and how firmly they are held there; of bodies that have feet."""
+
+    height_std_m: float = 0.015
+    """How much the height of a point that rests varies: soles roll and shoes are soft."""
+    speed_std_m_s: float = 0.18
+    """How fast a point that rests seems to be."""
+    lift_m: float = 0.15
+    """Heights of a heel or toe in the air go so far."""
+    swing_m_s: float = 1.5
+    """Speed of a point in the air."""
+    usual_s: float = 0.3
+    """How long a contact or a swing usually lasts."""
+    most_nats: float = 8.0
+    """A single frame speaks no louder for or against a contact."""
+    low_quantile: float = 0.15
+    """Share of the frames in which a point is lower than the height at which it rests."""
+    most_level_m: float = 0.06
+    """A sole that rests farther from the floor than this is no sole that rests."""
+    least_observed: float = 0.5
+    """A foot that is observed in a smaller share of the frames is not judged."""
+    tilt_spread_m: float = 0.15
+    """Contacts that lie nearer together, across, do not tell how the floor is tilted."""
+    down_m: float = 0.02
+    """A heel that is higher than this above its usual lowest place is not down."""
+    floor_off_m: float = 0.03
+    """Feet that stand farther from the calibration's floor are told of: soles of bodies and shoes differ by two
+    centimetres on development sessions."""
+    floor_tilt_deg: float = 1.5
+    """A floor that falls more steeply is told of."""
+    hold_speed_m_s: float = 0.6
+    """A point that moves as fast is held with 0.6 of the weight, one of three times the speed hardly."""
+    hold: float = 30.0
+    """Weight of a point that rests in the fit of the body to the smoothed points, against 1 of every other point.
+    With this and the speed above a planted foot of `dev:steps` moves by 5 mm instead of 23, and legs whose feet slide
+    in truth (`dev:walk`) are 2 mm farther off than without a hold."""
+
+
 # Standard deviation, m, of a landmark of a pose that fits perfectly, and its growth per nat of its limb's misfit:
 # fitted on development scenes by `python -m eval.pose_coverage --fit`, and printed there.
 UNCERTAINTY: Mapping[str, tuple[float, float]] = {
@@ -568,6 +607,7 @@ class Method(_Strict):
     repair: RepairSettings = RepairSettings()
     size: SizeSettings = SizeSettings()
     smooth: SmoothSettings = SmoothSettings()
+    contact: ContactSettings = ContactSettings()
     deviation: DeviationSettings = field(default_factory=DeviationSettings)
     angles: AngleSettings = field(default_factory=AngleSettings)
     marker_start: MarkerStartSettings = MarkerStartSettings()

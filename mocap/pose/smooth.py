@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from mocap.body import Body
 from mocap.body.kinematics import point_jacobian
+from mocap.data import LANDMARKS
 from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.smoother import smooth_points
+from mocap.pose.contacts import SOLE_POINTS, contacts_of, held
 from mocap.pose.deviation import FrameSeries, astray_variance, limb_misfit
 from mocap.pose.method import Method
 from mocap.pose.point_fit import PointFit
@@ -21,7 +23,7 @@ def smooth_motion(body: Body, series: FrameSeries, fps: float, lag: int, method:
 
     Points of the body are smoothed in space, not angles: near a shoulder's singularity equal poses have angles far
     apart. A point of a limb that fits badly counts less, one that jumps and comes back counts little. Then the body is
-    fitted to the smoothed points.
+    fitted to the smoothed points; heels and toes that rest on the floor are held where they rest.
     """
     numbers = method.smooth
     joint, offset = _handles(body, numbers.handle_m)
@@ -32,12 +34,19 @@ def smooth_motion(body: Body, series: FrameSeries, fps: float, lag: int, method:
     points = np.stack([point_jacobian(body, s, joint, offset)[0] for s in series.states])
     push = np.full(len(joint), numbers.acceleration_m_s2 / fps**2)
     smoothed, _, _ = smooth_points(points, variance, push, lag=lag)
+    weight = np.ones(smoothed.shape[:2])
+    if len(body.landmarks) > len(LANDMARKS):
+        # The landmarks are the first of the points.
+        sole = list(SOLE_POINTS)
+        contacts = contacts_of(smoothed[:, sole], variance[:, sole], fps, method.contact)
+        smoothed[:, sole] = held(smoothed[:, sole], contacts)
+        weight[:, sole] += (method.contact.hold - 1.0) * contacts.hold
     states = np.empty_like(series.states)
     settings = RefineSettings(
         prior_std=np.full(body.layout.n_columns, 1e3), residual_std_m=1.0, n_iterations=numbers.n_iterations
     )
     for i in range(len(series)):
-        problem = PointFit(body, joint, offset, smoothed[i])
+        problem = PointFit(body, joint, offset, smoothed[i], np.sqrt(weight[i])[:, None])
         starts = [series.states[i], *([states[i - 1]] if i else [])]
         start = min(starts, key=problem.cost)
         states[i] = refine(problem, start, settings)[0]

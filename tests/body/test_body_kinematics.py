@@ -21,7 +21,9 @@ from mocap.body.kinematics import cones_of_particles, transforms_by_exponentials
 from mocap.data import LANDMARKS
 from mocap.geometry.rigid import matrix_from_twist
 
-BODIES = {name: scale_body(load_body_model(name), 1.72) for name in ("anthropometric", "girdle", "thesis")}
+BODIES = {
+    name: scale_body(load_body_model(name), 1.72) for name in ("anthropometric", "girdle", "thesis", "whole")
+}
 
 
 def random_states(body: Body, n: int, seed: int = 0) -> np.ndarray:

@@ -13,7 +13,7 @@ from mocap.data import ALL_LANDMARKS, BONES, LANDMARKS, bones_between
 from mocap.errors import MocapError
 
 PI = np.pi
-PRESETS = ("anthropometric", "girdle", "thesis")
+PRESETS = ("anthropometric", "girdle", "thesis", "whole")
 
 # CF Table 6.1 in the frame of reading guide 8: x forward, y left, z up.
 TABLE_6_1_LIMITS = {
@@ -68,12 +68,14 @@ def test_presets_are_listed() -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_joint_limits_are_table_6_1(name: str) -> None:
-    """Our bodies give both shoulder twists the union of the printed ranges (they cannot both be right); one has a
-    shoulder girdle besides."""
+    """Our bodies give both shoulder twists the union of the printed ranges (they cannot both be right); two have a
+    shoulder girdle besides, one of them feet and hands that move."""
     layout = body(name).layout
-    assert layout.n_columns == (31 if name == "girdle" else 27)
-    girdle = {f"{side}_clavicle_{axis}" for side in ("left", "right") for axis in "xz"}
-    assert set(layout.names[6:]) == set(TABLE_6_1_LIMITS) | (girdle if name == "girdle" else set())
+    joints = {"girdle": ("clavicle",), "whole": ("clavicle", "ankle", "wrist", "mtp")}.get(name, ())
+    more = {n for n in layout.names if any(joint in n for joint in joints)}
+    assert len(more) == {"girdle": 4, "whole": 14}.get(name, 0)
+    assert layout.n_columns == 27 + len(more)
+    assert set(layout.names[6:]) == set(TABLE_6_1_LIMITS) | more
     for column, (low, high) in TABLE_6_1_LIMITS.items():
         i = layout.names.index(column)
         if name != "thesis" and column.endswith("shoulder_y"):
@@ -146,8 +148,8 @@ def test_left_is_the_mirror_image_of_right(name: str) -> None:
         tuple(0.0 if x == 0 else x for x in c) for c in mirrored
     }
     points = landmarks_of(b, np.zeros((1, b.layout.n_columns)))[0]
-    for name_, p in zip(LANDMARKS, points, strict=True):
-        np.testing.assert_allclose(points[LANDMARKS.index(other(name_))], p * mirror, atol=1e-12)
+    for name_, p in zip(b.landmarks, points, strict=True):
+        np.testing.assert_allclose(points[b.landmarks.index(other(name_))], p * mirror, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -271,7 +273,7 @@ def test_too_many_parts(tmp_path: Path) -> None:
 
 
 def test_missing_and_binary_files(tmp_path: Path) -> None:
-    with pytest.raises(MocapError, match="presets anthropometric, girdle, thesis"):
+    with pytest.raises(MocapError, match="presets anthropometric, girdle, thesis, whole"):
         load_body_model(tmp_path / "none.toml")
     with pytest.raises(MocapError, match="cannot be read"):
         load_body_model(tmp_path)

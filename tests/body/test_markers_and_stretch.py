@@ -20,7 +20,7 @@ def body_of(name: str = "anthropometric"):  # type: ignore[no-untyped-def]
     return scale_body(load_body_model(name), HEIGHT_M)
 
 
-@pytest.mark.parametrize("model", ["anthropometric", "girdle", "thesis"])
+@pytest.mark.parametrize("model", ["anthropometric", "girdle", "thesis", "whole"])
 def test_the_set_of_twenty_fits_the_bodies_and_is_a_mirror_image(model: str) -> None:
     assert "markers_20" in marker_sets()
     body = body_of(model)

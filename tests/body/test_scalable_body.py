@@ -15,7 +15,7 @@ from mocap.body import (
 from mocap.data.hierarchy import depth_hierarchy, levels_on, limbs_on
 from mocap.errors import MocapError
 
-BODIES = ("anthropometric", "girdle", "thesis")
+BODIES = ("anthropometric", "girdle", "thesis", "whole")
 
 
 def test_presets_are_what_is_documented() -> None:
@@ -26,14 +26,14 @@ def test_presets_are_what_is_documented() -> None:
 @pytest.mark.parametrize("body_name", BODIES)
 @pytest.mark.parametrize("name", hierarchy_presets())
 def test_subdivisions_have_the_printed_and_the_complete_numbers(body_name: str, name: str) -> None:
-    """Reading guide 14: 6/16/24 as printed, 6/19/27 with the waist. A shoulder girdle rests."""
+    """Reading guide 14: 6/16/24 as printed, 6/19/27 with the waist. Shoulder girdle, feet and hands rest."""
     layout = scale_body(load_body_model(body_name), 1.7).layout
     levels = levels_on(load_hierarchy(name), layout)
     assert levels.dimensions == ((6, 10, 8) if name.endswith("printed") else (6, 13, 8))
     assert [len(level.parts) for level in levels.levels] == [1, 10 if "model1" in name else 6, 10]
     left_out = {n for n, has in zip(layout.names, levels.levels[-1].has, strict=True) if not has}
-    girdle = {n for n in layout.names if "clavicle" in n}
-    assert left_out == girdle | ({"waist_x", "waist_y", "waist_z"} if name.endswith("printed") else set())
+    resting = {n for n in layout.names if any(j in n for j in ("clavicle", "ankle", "mtp", "wrist"))}
+    assert left_out == resting | ({"waist_x", "waist_y", "waist_z"} if name.endswith("printed") else set())
     assert not levels.pinned.any(), "limbs of coarse models are straight"
 
 
@@ -57,7 +57,8 @@ def test_limbs_fit_the_bodies(body_name: str) -> None:
     legs = {limb.name: limb for limb in limbs_on(load_limbs("limbs"), layout)}
     assert set(legs) == {"right_arm", "left_arm", "right_leg", "left_leg"}
     assert [len(limb.parts) for limb in legs.values()] == [1, 1, 2, 2]
-    assert [layout.names[c] for c in legs["left_leg"].columns[1]] == ["left_knee_y"]
+    foot = ["left_ankle_y", "left_ankle_x", "left_mtp_y"] if body_name == "whole" else []
+    assert [layout.names[c] for c in legs["left_leg"].columns[1]] == ["left_knee_y", *foot]
     assert all(len(limb.parts) == 1 for limb in limbs_on(load_limbs("whole_limbs"), layout))
 
 

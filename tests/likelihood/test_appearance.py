@@ -106,7 +106,7 @@ def test_bins_tell_clothes_from_skin_and_stay_in_range() -> None:
     assert len(colour_bins_of_pixels(np.zeros((0, 3), dtype=np.uint8))) == 0
 
 
-@pytest.mark.parametrize("name", ["anthropometric", "girdle", "thesis"])
+@pytest.mark.parametrize("name", ["anthropometric", "girdle", "thesis", "whole"])
 def test_mirrored_cones_share_their_zones(name: str) -> None:
     body = scale_body(load_body_model(name), 1.7)
     zones = body_zones(body)

@@ -102,6 +102,7 @@ def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None
             "tracks.csv",
             "landmarks.csv",
             "angles.csv",
+            "steps.csv",
             "pose.npz",
             "body.toml",
             "person_1.trc",
@@ -120,7 +121,10 @@ def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None
     [
         ("segment", {"run.json"}),
         ("track", {"run.json", "tracks.csv"}),
-        ("pose", {"run.json", "tracks.csv", "landmarks.csv", "angles.csv", "pose.npz", "body.toml"}),
+        (
+            "pose",
+            {"run.json", "tracks.csv", "landmarks.csv", "angles.csv", "steps.csv", "pose.npz", "body.toml"},
+        ),
     ],
 )
 def test_a_run_that_ends_earlier_leaves_what_it_wrote(

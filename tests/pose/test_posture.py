@@ -7,7 +7,7 @@ from mocap.body import Body, load_body_model, neutral_state, scale_body
 from mocap.pose.posture import usual_posture
 
 
-@pytest.fixture(params=["anthropometric", "girdle", "thesis"])
+@pytest.fixture(params=["anthropometric", "girdle", "thesis", "whole"])
 def body(request: pytest.FixtureRequest) -> Body:
     return scale_body(load_body_model(request.param), 1.73)
 

@@ -21,8 +21,11 @@ _SIDE = {
     "clavicle": ("mixamorig:{Side}Shoulder", "{side}Shoulder", "clavicle_{s}"),
     "shoulder": ("mixamorig:{Side}Arm", "{side}UpperArm", "upperarm_{s}"),
     "elbow": ("mixamorig:{Side}ForeArm", "{side}LowerArm", "lowerarm_{s}"),
+    "wrist": ("mixamorig:{Side}Hand", "{side}Hand", "hand_{s}"),
     "hip": ("mixamorig:{Side}UpLeg", "{side}UpperLeg", "thigh_{s}"),
     "knee": ("mixamorig:{Side}Leg", "{side}LowerLeg", "calf_{s}"),
+    "ankle": ("mixamorig:{Side}Foot", "{side}Foot", "foot_{s}"),
+    "mtp": ("mixamorig:{Side}ToeBase", "{side}Toes", "ball_{s}"),
 }
 
 

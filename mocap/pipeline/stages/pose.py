@@ -26,6 +26,7 @@ from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.pose.deviation import widened
 from mocap.pose.person import VolumeClip, follow_person
 from mocap.pose.result import PersonPoses, motion_numbers
+from mocap.pose.steps import gait_numbers, gait_of, warnings_of_gait
 from mocap.pose.volume import HullOf, PersonHull, VolumeObservation, VolumeTools, estimate_height
 from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
@@ -211,6 +212,8 @@ def poses_report(job: Job) -> StageReport:
     """Size, frames and calmness of every person, and what the poses warn of."""
     fps = job.session.fps
     poses = stored_poses(job.store)
+    settings = job.config.method.contact
+    gaits = {p.person: gait_of(p, fps, settings) for p in poses}
     persons = {
         str(p.person): {
             "height_m": round(p.height.height_m, 3),
@@ -218,10 +221,16 @@ def poses_report(job: Job) -> StageReport:
             "last_frame": int(p.frames[-1]),
             "start_frame": p.start_frame,
             **motion_numbers(p, fps),
+            **_rounded(gait_numbers(gaits[p.person])),
         }
         for p in poses
     }
-    return StageReport(tuple(w for p in poses for w in p.warnings), {"persons": persons})
+    warnings = [w for p in poses for w in (*p.warnings, *warnings_of_gait(p, gaits[p.person], settings))]
+    return StageReport(tuple(warnings), {"persons": persons})
+
+
+def _rounded(numbers: dict[str, float | None]) -> dict[str, float | None]:
+    return {name: None if value is None else round(value, 3) for name, value in numbers.items()}
 
 
 POSE = Stage(

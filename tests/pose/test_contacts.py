@@ -1,0 +1,209 @@
+"""Contacts of heels and toes, what is held on the floor, steps, and what is said of the floor."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocap.body import landmarks_of, load_body_model, scale_body
+from mocap.body.initial import HeightEstimate
+from mocap.data.motion import ALL_LANDMARKS, FURTHER_LANDMARKS
+from mocap.pose.contacts import SOLE_POINTS, contacts_of, held, lowest_level, slips_m, unbroken_runs
+from mocap.pose.method import ContactSettings
+from mocap.pose.result import PersonPoses
+from mocap.pose.steps import check_floor, gait_numbers, gait_of, warnings_of_gait
+from mocap.synth.figure import (
+    feet_and_hands_of,
+    forward_kinematics,
+    make_figure,
+)
+from mocap.synth.figure import (
+    landmarks_of as figure_landmarks,
+)
+from mocap.synth.motions import MOTIONS, Path
+
+FPS = 30.0
+T = 120
+SETTINGS = ContactSettings()
+SOLE = list(SOLE_POINTS)
+OWN = [FURTHER_LANDMARKS.index(ALL_LANDMARKS[k]) for k in SOLE]
+
+
+def walk(*, noise_m: float = 0.0, motion: str = "walk", speed_m_s: float = 1.3) -> np.ndarray:
+    """Landmarks (T, 21, 3) of somebody who walks straight ahead."""
+    rng = np.random.default_rng(4)
+    figure = make_figure(1.75, "male", 1.0, rng=rng)
+    path = Path((-2.0, 0.0), (0.0, 0.0), 0.4, False)
+    pose = MOTIONS[motion](figure, T, FPS, rng=rng, path=path, speed_m_s=speed_m_s)
+    where = forward_kinematics(figure.offsets, pose.rotations, pose.root_position)
+    out = np.concatenate([figure_landmarks(figure, *where), feet_and_hands_of(figure, *where)], axis=1)
+    return out + noise_m * rng.standard_normal(out.shape)
+
+
+def true_contacts(landmarks: np.ndarray) -> np.ndarray:
+    sole = landmarks[:, SOLE]
+    speed = np.linalg.norm(np.gradient(sole, axis=0), axis=2) * FPS
+    return (speed < 0.35) & (sole[..., 2] < 0.025)
+
+
+def poses_of(landmarks: np.ndarray) -> PersonPoses:
+    body = scale_body(load_body_model("whole"), 1.75)
+    n = len(landmarks)
+    return PersonPoses(
+        person=1,
+        body=body,
+        height=HeightEstimate(1.75, True),
+        frames=np.arange(n),
+        states=np.zeros((n, body.layout.n_columns)),
+        landmarks=landmarks,
+        landmark_covariance=np.tile(1e-4 * np.eye(3), (n, len(ALL_LANDMARKS), 1, 1)),
+        observed=np.ones((n, len(ALL_LANDMARKS)), dtype=np.bool_),
+        log_likelihood=np.zeros(n),
+        ess_share=np.ones(n),
+        start_frame=0,
+        first_pose="stand",
+    )
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.002])
+def test_strikes_and_offs_are_told_to_a_frame(noise_m: float) -> None:
+    landmarks, truth = walk(noise_m=noise_m), true_contacts(walk())
+    gait = gait_of(poses_of(landmarks), FPS, SETTINGS)
+    for k, side in enumerate(("left", "right")):
+        either = truth[:, 2 * k] | truth[:, 2 * k + 1]
+        runs = [r for r in unbroken_runs(either) if len(r) > 2]
+        strikes = [r[0] for r in runs if r[0] > 0]
+        offs = [r[-1] + 1 for r in runs if r[-1] + 1 < T]
+        own = [s for s in gait.stances if s.side == side]
+        np.testing.assert_allclose([s.strike for s in own if s.strike is not None], strikes, atol=1)
+        np.testing.assert_allclose([s.off for s in own if s.off is not None], offs, atol=1)
+
+
+def test_the_numbers_of_a_walk_are_those_of_its_feet() -> None:
+    landmarks = walk()
+    numbers = gait_numbers(gait_of(poses_of(landmarks), FPS, SETTINGS))
+    pelvis = landmarks[:, 0, :2]
+    speed = np.linalg.norm(pelvis[-1] - pelvis[0]) / ((T - 1) / FPS)
+    assert numbers["speed_m_s"] == pytest.approx(speed, rel=0.05)
+    assert numbers["step_length_m"] == pytest.approx(speed * 60.0 / numbers["cadence_per_min"], rel=0.05)
+    assert 0.03 < numbers["step_width_m"] < 0.2
+    assert 55.0 < numbers["stance_percent"] < 68.0
+    assert numbers["step_length_asymmetry_percent"] < 5.0
+
+
+def test_a_jog_has_frames_in_which_no_foot_is_down() -> None:
+    gait = gait_of(poses_of(walk(motion="jog", speed_m_s=2.6)), FPS, SETTINGS)
+    assert gait.contacts is not None
+    flight = (gait.contacts.probability < 0.5).all(axis=1)
+    assert flight.mean() > 0.1
+    assert len(gait.steps) >= 6
+    assert gait_numbers(gait)["stance_percent"] < 50.0
+
+
+def test_held_points_rest_and_others_stay() -> None:
+    drift = 0.012 * np.sin(2 * np.pi * np.arange(T) / 25.0)  # slow, as what a smoother leaves
+    shaky = walk()[:, SOLE] + drift[:, None, None] * np.array([1.0, 0.0, 0.0])
+    contacts = contacts_of(shaky, np.full(shaky.shape[:2], 1e-4), FPS, SETTINGS)
+    calm = held(shaky, contacts)
+    before, after = slips_m(shaky, contacts.runs), slips_m(calm, contacts.runs)
+    assert np.median(before) > 0.005
+    assert np.median(after) < 0.001
+    assert after.max() < 0.005
+    away = contacts.probability < 0.5
+    np.testing.assert_array_equal(calm[away], shaky[away])
+    assert away.any()
+
+
+def test_no_contact_is_invented_in_the_air() -> None:
+    flying = walk()[:, SOLE] + np.array([0.0, 0.0, 0.5])
+    np.testing.assert_array_equal(lowest_level(flying, SETTINGS), np.zeros(4))
+    assert (contacts_of(flying, np.zeros(flying.shape[:2]), FPS, SETTINGS).probability < 0.5).all()
+
+
+# --------------------------------------------------------------------------------------------------- bad recordings
+
+
+def test_a_hidden_foot_is_said_in_words() -> None:
+    poses = poses_of(walk())
+    observed = poses.observed.copy()
+    observed[20:, ALL_LANDMARKS.index("left_toe")] = False
+    poses = replace(poses, observed=observed)
+    gait = gait_of(poses, FPS, SETTINGS)
+    assert gait.contacts is None
+    assert not gait.steps
+    (warning,) = warnings_of_gait(poses, gait, SETTINGS)
+    assert "the left foot was observed in 17 % of the frames only" in warning
+    assert gait_numbers(gait) == {}
+
+
+def test_a_floor_that_is_not_there_is_said_in_words() -> None:
+    poses = poses_of(walk() + np.array([0.0, 0.0, 0.3]))
+    (warning,) = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), SETTINGS)
+    assert "there is no floor at z = 0" in warning
+
+
+def test_a_treadmill_is_said_in_words() -> None:
+    on_belt = walk() - 1.3 * (np.arange(T) / FPS)[:, None, None] * np.array([np.cos(0.4), np.sin(0.4), 0.0])
+    poses = poses_of(on_belt)
+    warnings = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), SETTINGS)
+    assert any("treadmill" in w for w in warnings)
+    still = poses_of(walk())
+    assert warnings_of_gait(still, gait_of(still, FPS, SETTINGS), SETTINGS) == []
+
+
+def test_a_body_without_feet_has_no_contacts_and_no_warning() -> None:
+    poses = poses_of(walk())
+    poses = replace(poses, landmarks=poses.landmarks[:, :15], observed=poses.observed[:, :15])
+    gait = gait_of(poses, FPS, SETTINGS)
+    assert gait.contacts is None
+    assert warnings_of_gait(poses, gait, SETTINGS) == []
+
+
+def test_a_person_who_was_away_is_said_in_words() -> None:
+    poses = poses_of(walk())
+    poses = replace(poses, frames=np.where(np.arange(T) < 60, np.arange(T), np.arange(T) + 30))
+    (warning,) = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), SETTINGS)
+    assert "was away" in warning
+
+
+# ------------------------------------------------------------------------------------------------------------ floor
+
+
+@pytest.mark.parametrize(("shift_m", "tilt_deg"), [(0.0, 0.0), (0.04, 0.0), (0.0, 2.5)])
+def test_the_floor_of_the_feet_is_measured(shift_m: float, tilt_deg: float) -> None:
+    rng = np.random.default_rng(4)
+    figure = make_figure(1.75, "male", 1.0, rng=rng)
+    pose = MOTIONS["walk"](
+        figure, 300, FPS, rng=rng, path=Path((0.0, 0.0), (1.6, 1.2), 0.0, False), speed_m_s=1.2
+    )
+    points = feet_and_hands_of(
+        figure, *forward_kinematics(figure.offsets, pose.rotations, pose.root_position)
+    )[:, OWN]
+    contacts = contacts_of(points, np.zeros(points.shape[:2]), FPS, SETTINGS)
+    points[..., 2] += shift_m - np.tan(np.deg2rad(tilt_deg)) * points[..., 0]
+    check = check_floor(points, contacts, SETTINGS)
+    assert check is not None
+    assert check.tilt_deg is not None
+    assert check.tilt_deg == pytest.approx(tilt_deg, abs=0.3)
+    if tilt_deg:
+        assert check.downhill_deg == pytest.approx(0.0, abs=8.0)
+    else:
+        assert check.height_m == pytest.approx(shift_m, abs=0.004)
+
+
+def test_whole_is_girdle_until_its_feet_and_hands_move() -> None:
+    whole, girdle = (scale_body(load_body_model(name), 1.7) for name in ("whole", "girdle"))
+    rng = np.random.default_rng(1)
+    state = np.zeros(whole.layout.n_columns)
+    common = [whole.layout.names.index(name) for name in girdle.layout.names]
+    state[common] = rng.uniform(-0.3, 0.3, len(common))
+    of_whole, of_girdle = landmarks_of(whole, state[None]), landmarks_of(girdle, state[common][None])
+    np.testing.assert_allclose(of_whole[:, :15], of_girdle, atol=1e-12)
+    new = [name for name in whole.layout.names if name not in girdle.layout.names]
+    assert len(new) == 10
+    ankle = whole.layout.names.index("left_ankle_y")
+    up = state.copy()
+    up[ankle] -= 0.3  # dorsiflexion lifts the toe
+    toe = ALL_LANDMARKS.index("left_toe")
+    rest, lifted = (landmarks_of(whole, np.zeros(len(state))[None] + s)[0, toe, 2] for s in (0, up - state))
+    assert lifted > rest + 0.03
