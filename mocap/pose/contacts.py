@@ -53,10 +53,13 @@ def contacts_of(points: Array, variance: Array, fps: float, settings: ContactSet
     above = np.maximum(points[..., 2] - level, 0.0)
     height_var = settings.height_std_m**2 + variance
     rests = -0.5 * above**2 / height_var - 0.5 * np.log(height_var)
-    rests += -0.5 * speed2 / settings.speed_std_m_s**2 - 3 * np.log(settings.speed_std_m_s)
-    # In the air: heights are spread evenly over the usual lift of a foot, speeds like those of a swing.
-    flies = np.full_like(rests, -np.log(settings.lift_m) + 0.5 * np.log(2 * np.pi))
-    flies += -0.5 * speed2 / settings.swing_m_s**2 - 3 * np.log(settings.swing_m_s)
+    still = -0.5 * speed2 / settings.speed_std_m_s**2 - 3 * np.log(settings.speed_std_m_s)
+    rests += still
+    # In the air: heights are spread evenly over the usual lift of a foot, speeds like those of a swing or, as of the
+    # heels of who crouches, like those of a point that rests.
+    swings = -0.5 * speed2 / settings.swing_m_s**2 - 3 * np.log(settings.swing_m_s)
+    flies = np.logaddexp(np.log(1.0 - settings.still_share) + swings, np.log(settings.still_share) + still)
+    flies += -np.log(settings.lift_m) + 0.5 * np.log(2 * np.pi)
     odds = np.clip(rests - flies, -settings.most_nats, settings.most_nats)
     switch = min(0.5, 1.0 / (settings.usual_s * fps))
     probability = np.stack([_smoothed_probability(own, switch) for own in odds.T], axis=1)
@@ -72,20 +75,20 @@ def lowest_level(points: Array, settings: ContactSettings) -> Array:
     return np.where(np.abs(low) <= settings.most_level_m, low, 0.0)
 
 
-def held(points: Array, contacts: Contacts) -> Array:
-    """Sole points (T, 4, 3) with those that rest put at one place for each contact, as firmly as they may be held.
+def held(points: Array, contacts: Contacts, hold_frames: float) -> Array:
+    """Sole points (T, 4, 3), those that rest put where they rest, as firmly as they may be held.
 
-    The place is the mean over the contact, weighted alike, at the height at which the point usually rests.
+    The place is the mean over the frames of the contact within about `hold_frames`, weighted alike: who stands for long
+    shifts his feet.
     """
     out = points.copy()
     for k, runs in enumerate(contacts.runs):
         for run in runs:
             weight = contacts.hold[run, k]
-            if not weight.any():
-                continue
-            place = np.average(points[run, k], axis=0, weights=weight)
-            place[2] = contacts.level_m[k]
-            out[run, k] += weight[:, None] * (place - points[run, k])
+            near = np.exp(-0.5 * ((run[:, None] - run) / hold_frames) ** 2) * weight
+            share = near.sum(axis=1, keepdims=True)
+            place = near @ points[run, k] / np.maximum(share, 1e-9)
+            out[run, k] += np.where(share > 1e-9, weight[:, None], 0.0) * (place - points[run, k])
     return out
 
 

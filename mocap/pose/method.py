@@ -314,6 +314,8 @@ class ContactSettings(_Strict):
     """Heights of a heel or toe in the air go so far."""
     swing_m_s: float = 1.5
     """Speed of a point in the air."""
+    still_share: float = 0.2
+    """Share of the points in the air that are as slow as one that rests."""
     usual_s: float = 0.3
     """How long a contact or a swing usually lasts."""
     most_nats: float = 8.0
@@ -333,12 +335,15 @@ class ContactSettings(_Strict):
     centimetres on development sessions."""
     floor_tilt_deg: float = 1.5
     """A floor that falls more steeply is told of."""
-    hold_speed_m_s: float = 0.6
+    hold_s: float = 0.4
+    """A point is held where it rests within about this time."""
+    hold_speed_m_s: float = 1.2
     """A point that moves as fast is held with 0.6 of the weight, one of three times the speed hardly."""
     hold: float = 30.0
     """Weight of a point that rests in the fit of the body to the smoothed points, against 1 of every other point.
-    With this and the speed above a planted foot of `dev:steps` moves by 5 mm instead of 23, and legs whose feet slide
-    in truth (`dev:walk`) are 2 mm farther off than without a hold."""
+    With this, the time and the speed above a planted heel or toe of `dev:steps` moves by 4.6 mm instead of 22.6. Legs
+    are 0.2 mm farther from the truth there, 0.2 in `dev:reach`, who shuffles on the spot, and 1 in `dev:walk`, whose
+    true feet slide."""
 
 
 # Standard deviation, m, of a landmark of a pose that fits perfectly, and its growth per nat of its limb's misfit:

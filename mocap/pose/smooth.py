@@ -39,7 +39,7 @@ def smooth_motion(body: Body, series: FrameSeries, fps: float, lag: int, method:
         # The landmarks are the first of the points.
         sole = list(SOLE_POINTS)
         contacts = contacts_of(smoothed[:, sole], variance[:, sole], fps, method.contact)
-        smoothed[:, sole] = held(smoothed[:, sole], contacts)
+        smoothed[:, sole] = held(smoothed[:, sole], contacts, method.contact.hold_s * fps)
         weight[:, sole] += (method.contact.hold - 1.0) * contacts.hold
     states = np.empty_like(series.states)
     settings = RefineSettings(

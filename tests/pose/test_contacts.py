@@ -104,7 +104,7 @@ def test_held_points_rest_and_others_stay() -> None:
     drift = 0.012 * np.sin(2 * np.pi * np.arange(T) / 25.0)  # slow, as what a smoother leaves
     shaky = walk()[:, SOLE] + drift[:, None, None] * np.array([1.0, 0.0, 0.0])
     contacts = contacts_of(shaky, np.full(shaky.shape[:2], 1e-4), FPS, SETTINGS)
-    calm = held(shaky, contacts)
+    calm = held(shaky, contacts, SETTINGS.hold_s * FPS)
     before, after = slips_m(shaky, contacts.runs), slips_m(calm, contacts.runs)
     assert np.median(before) > 0.005
     assert np.median(after) < 0.001
