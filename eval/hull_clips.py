@@ -177,6 +177,8 @@ def compare_filters(
     *,
     scenes: str,
     n_frames: int,
+    masks: str = ",".join(MASKS),
+    seeds: int = 3,
     names: Sequence[str],
     measure: Callable[[HullClip, str, str, str, int], dict[str, Any]],
     summary: Callable[[Sequence[dict[str, Any]]], str],
@@ -185,24 +187,25 @@ def compare_filters(
 ) -> list[dict[str, Any]]:
     """The command line of a comparison: every filter on every scene, kind of masks and seed, one row each in `path`.
 
-    scenes, n_frames : defaults of --scenes and --frames.  measure : (clip, scene, masks, filter, seed) -> row.
+    scenes, n_frames, masks, seeds : defaults of --scenes, --frames, --masks and --seeds.
+    measure : (clip, scene, masks, filter, seed) -> row.
     summary : rows of one filter on one clip -> a few words.  The file is written when all are done.
     """
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--scenes", default=scenes)
-    parser.add_argument("--masks", default=",".join(MASKS))
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--masks", default=masks)
+    parser.add_argument("--seeds", type=int, default=seeds)
     parser.add_argument("--frames", type=int, default=n_frames)
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
     args = parser.parse_args()
     rows: list[dict[str, Any]] = []
     for scene in args.scenes.split(","):
-        for masks in args.masks.split(","):
-            clip = head(load_clip(scene, masks, args.work), args.frames)
+        for kind in args.masks.split(","):
+            clip = head(load_clip(scene, kind, args.work), args.frames)
             for name in names:
-                own = [measure(clip, scene, masks, name, seed) for seed in range(args.seeds)]
+                own = [measure(clip, scene, kind, name, seed) for seed in range(args.seeds)]
                 rows += own
                 sys.stdout.write(f"{clip.name} {name}: {summary(own)}\n")
                 sys.stdout.flush()

@@ -1,13 +1,15 @@
-"""What separates the marker filter's accuracy from the published one (CF Table 6.3): one condition at a time.
+"""What separates the marker filter's accuracy from the published one (CF Table 6.3): one condition at a time, then
+those together that help.
 
 The printed cost, 3 layers of 700 particles, on the five actions of eval.markers_table_6_3. The source differs from that
 table in what its text says (markers in the joints: they are the projected ground truth; a known body) and in what it
-leaves open (rho, the size of the person in the pictures, hence how dense false detections lie). Every condition changes
-one of these against `table`, the others against `source`, which has the joints and the known body.
+leaves open (rho, the size of the person in the pictures, hence how dense false detections lie, how much the body hides,
+how far persons move from frame to frame). Conditions change one of these against `table` or against `source`, which has
+the joints and the known body; the last ones change two or three together.
 
     python -m eval.markers_conditions [--frames 45] [--seeds 1] [--only walk,jog]
 
-Writes eval/results/markers_conditions.csv. About 12 minutes on one core.
+Writes eval/results/markers_conditions.csv. About 15 minutes on one core.
 """
 
 from __future__ import annotations
@@ -52,6 +54,8 @@ class Condition:
     in_joints : markers are the landmarks.  knows_body : lengths, offsets and first pose come from detections without
     noise, misses and false ones.  gate_px : rho.  magnification : of the pictures, with all that is in them but the
     detector's noise in px.  noise_scale : of the filter's own noise ("half the maximum expected movement").
+    hides : the body hides markers.  times_fps : frames in the same seconds, against the 30 frames/s of the scenes: how
+    far the person moves, and how far the filter expects it to, from frame to frame.
     """
 
     in_joints: bool = False
@@ -60,10 +64,14 @@ class Condition:
     detector: Detector = TABLE_DETECTOR
     magnification: float = 1.0
     noise_scale: float = 1.0
+    hides: bool = True
+    times_fps: int = 1
     filter: Filter = TABLE_FILTER
 
 
 SOURCE = Condition(in_joints=True, knows_body=True)
+_OPEN, _FINE = replace(SOURCE, hides=False), replace(SOURCE, times_fps=2)
+_EXACT, _FOUND = replace(TABLE_DETECTOR, variance=0), replace(TABLE_DETECTOR, rate=1.0)
 CONDITIONS = {
     "table": Condition(),
     "table, markers in the joints": Condition(in_joints=True),
@@ -72,8 +80,8 @@ CONDITIONS = {
     **{f"source, rho {rho} px": replace(SOURCE, gate_px=float(rho)) for rho in (5, 10, 40)},
     "source, no false detections": replace(SOURCE, detector=replace(TABLE_DETECTOR, false_positives=0)),
     "source, 5 false detections": replace(SOURCE, detector=replace(TABLE_DETECTOR, false_positives=5)),
-    "source, no noise": replace(SOURCE, detector=replace(TABLE_DETECTOR, variance=0)),
-    "source, every marker found": replace(SOURCE, detector=replace(TABLE_DETECTOR, rate=1.0)),
+    "source, no noise": replace(SOURCE, detector=_EXACT),
+    "source, every marker found": replace(SOURCE, detector=_FOUND),
     "source, perfect detector": replace(SOURCE, detector=PERFECT),
     "source, perfect detector, rho 10 px": replace(SOURCE, detector=PERFECT, gate_px=10.0),
     "source, pictures x 2": replace(SOURCE, magnification=2.0),
@@ -81,6 +89,15 @@ CONDITIONS = {
     **{f"source, filter's noise x {k}": replace(SOURCE, noise_scale=float(k)) for k in (0.25, 0.5, 2, 3)},
     "source, reprojection term": replace(SOURCE, filter=replace(TABLE_FILTER, cost="reprojection")),
     "source, both terms": replace(SOURCE, filter=replace(TABLE_FILTER, cost="both")),
+    "source, nothing hidden": _OPEN,
+    "source, 60 frames/s": _FINE,
+    "source, nothing hidden, every marker found": replace(_OPEN, detector=_FOUND),
+    "source, 60 frames/s, rho 40 px": replace(_FINE, gate_px=40.0),
+    "source, 60 frames/s, no noise": replace(_FINE, detector=_EXACT),
+    "source, 60 frames/s, every marker found": replace(_FINE, detector=_FOUND),
+    "source, 60 frames/s, nothing hidden": replace(_FINE, hides=False),
+    "source, 60 frames/s, nothing hidden, rho 40 px": replace(_FINE, hides=False, gate_px=40.0),
+    "source, 60 frames/s, nothing hidden, every marker found": replace(_FINE, hides=False, detector=_FOUND),
 }
 
 
@@ -112,39 +129,42 @@ def magnified(clip: Clip, factor: float) -> Clip:
     )
 
 
-def people(clip: Clip, *, in_joints: bool, seed: int) -> dict[bool, Prepared | None]:
-    """The person of a clip as found at the detector of the table, and as known."""
-    where = joint_markers if in_joints else None
-    return {
-        is_known: prepare(clip, seed, detector=PERFECT if is_known else TABLE_DETECTOR, markers_of=where)
-        for is_known in (False, True)
-    }
+def person_of(clip: Clip, one: Condition, seed: int) -> Prepared | None:
+    """The person of a clip as found at the detector of the table, or as known."""
+    where = joint_markers if one.in_joints else None
+    detector = PERFECT if one.knows_body else TABLE_DETECTOR
+    return prepare(clip, seed, detector=detector, markers_of=where)
+
+
+def run(clip: Clip, person: Prepared, name: str, seed: int) -> dict[str, Any]:
+    """One condition on one clip."""
+    one = CONDITIONS[name]
+    seen = clip if one.magnification == 1.0 else magnified(clip, one.magnification)
+    settings = (f"markers.gate_px={one.gate_px}", f"pose.noise_scale={one.noise_scale}")
+    return {"condition": name, **run_cell(seen, person, one.detector, one.filter, seed, settings)}
 
 
 def rows_of(action: str, n_frames: int, seeds: int) -> list[dict[str, Any]]:
-    """Every condition on one action."""
+    """Every condition on one action; what shares a film and a person is run together."""
+    films: dict[tuple[bool, bool, int, bool], list[str]] = {}
+    for name, c in CONDITIONS.items():
+        films.setdefault((c.in_joints, c.hides, c.times_fps, c.knows_body), []).append(name)
     rows = []
-    for in_joints in (False, True):
-        clip = make_clip(action, n_frames, in_joints=in_joints)
+    for (in_joints, hides, times_fps, _), names in films.items():
+        clip = make_clip(action, n_frames, in_joints=in_joints, hides=hides, times_fps=times_fps)
         for seed in range(seeds):
-            person_of = people(clip, in_joints=in_joints, seed=seed)
-            for name, one in CONDITIONS.items():
-                person = person_of[one.knows_body]
-                if one.in_joints != in_joints or person is None:
-                    continue
-                seen = clip if one.magnification == 1.0 else magnified(clip, one.magnification)
-                settings = (f"markers.gate_px={one.gate_px}", f"pose.noise_scale={one.noise_scale}")
-                row = run_cell(seen, person, one.detector, one.filter, seed, settings)
-                rows.append({"condition": name, **row})
+            person = person_of(clip, CONDITIONS[names[0]], seed)
+            if person is not None:
+                rows += [run(clip, person, name, seed) for name in names]
     return rows
 
 
 def say(rows: Sequence[dict[str, Any]]) -> None:
     """Means over actions and seeds, one line per condition."""
-    print(f"{'condition':38}{'mean mm':>9}{'MMTP':>8}{'MMTA %':>8}   " + " ".join(PUBLISHED))
+    print(f"{'condition':60}{'mean mm':>9}{'MMTP':>8}{'MMTA %':>8}   " + " ".join(PUBLISHED))
     mean, _, mmtp, mmta = PUBLISHED_AVERAGE
     by_action = " ".join(f"{v[3]:.0f}" for v in PUBLISHED.values())
-    print(f"{'published':38}{mean:9.1f}{mmtp:8.1f}{mmta:8.1f}   {by_action}")
+    print(f"{'published':60}{mean:9.1f}{mmtp:8.1f}{mmta:8.1f}   {by_action}")
     for name in CONDITIONS:
         own = [r for r in rows if r["condition"] == name]
         if not own:
@@ -157,7 +177,7 @@ def say(rows: Sequence[dict[str, Any]]) -> None:
         for action in PUBLISHED:
             found = [r["mmta_percent"] for r in own if r["action"] == action]
             shares.append(f"{np.mean(found):.0f}" if found else "-")
-        print(f"{name:38}{values[0]:9.1f}{values[1]:8.1f}{values[2]:8.1f}   {' '.join(shares)}")
+        print(f"{name:60}{values[0]:9.1f}{values[1]:8.1f}{values[2]:8.1f}   {' '.join(shares)}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -91,10 +91,13 @@ class Clip:
         return range(len(self.landmarks))
 
 
-def make_clip(action: str, n_frames: int | None, *, in_joints: bool = False) -> Clip:
+def make_clip(
+    action: str, n_frames: int | None, *, in_joints: bool = False, hides: bool = True, times_fps: int = 1
+) -> Clip:
     """The markers of a scene's person in every picture, what hides them, and the truth; nothing is rendered.
 
     in_joints : the fifteen landmarks themselves are the markers, as in CF 6.6.1, instead of twenty on the skin.
+    hides : the body hides markers.  times_fps : as many times the frames in the same seconds.
     """
     from mocap.synth.markers import Sight
     from mocap.synth.render import CameraView
@@ -103,9 +106,9 @@ def make_clip(action: str, n_frames: int | None, *, in_joints: bool = False) -> 
     from mocap.synth.world import build_world
 
     scene = load_scene(action)
-    document = {**scene.model_dump(), "markers": {}}
-    if n_frames is not None:
-        document["n_frames"] = min(n_frames, scene.n_frames)
+    document = {**scene.model_dump(), "markers": {}, "fps": times_fps * scene.fps}
+    n = scene.n_frames if n_frames is None else min(n_frames, scene.n_frames)
+    document["n_frames"] = times_fps * n
     world = build_world(type(scene).model_validate(document))
     looking = [(Witness(world), CameraView(camera, world.room)) for camera in world.rig]
     for frame in range(document["n_frames"]):
@@ -121,11 +124,11 @@ def make_clip(action: str, n_frames: int | None, *, in_joints: bool = False) -> 
         states = [np.stack(w.marker_states) for w, _ in looking]
     return Clip(
         action,
-        scene.fps,
+        document["fps"],
         marker_views(world.rig),
         landmarks,
         tuple(uv),
-        tuple(s == Sight.VISIBLE for s in states),
+        tuple((s == Sight.VISIBLE) | (not hides) for s in states),
         tuple(np.stack(w.boxes) for w, _ in looking),
     )
 

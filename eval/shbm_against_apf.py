@@ -77,12 +77,20 @@ def filters(clip: HullClip) -> dict[str, tuple[Callable[..., Any], Any]]:
 
 def measure(clip: HullClip, scene: str, masks: str, name: str, seed: int) -> dict[str, Any]:
     """One filter over one clip with one seed."""
+    return row_of(clip, {"scene": scene, "masks": masks, "filter": name, "seed": seed}, filters(clip)[name])
+
+
+def row_of(clip: HullClip, key: dict[str, Any], method: tuple[Callable[..., Any], Any]) -> dict[str, Any]:
+    """A line of the table: its key and what came out.
+
+    key : what tells the line apart, with its seed.  method : step and settings.
+    """
     from mocap.body import landmarks_of
     from mocap.metrics import lost_wrist_percent, point_scores
 
-    step, settings = filters(clip)[name]
+    step, settings = method
     begun = time.thread_time()
-    states, infos = run_filter(clip, step, settings, seed=seed)
+    states, infos = run_filter(clip, step, settings, seed=key["seed"])
     seconds = time.thread_time() - begun
     landmarks = landmarks_of(clip.body, states)
     scores = point_scores(landmarks, clip.truth)
@@ -100,14 +108,11 @@ def measure(clip: HullClip, scene: str, masks: str, name: str, seed: int) -> dic
         "seconds": seconds,
     }
     return {
-        "scene": scene,
-        "masks": masks,
-        "filter": name,
-        "seed": seed,
+        **key,
         "frames": len(states),
         "particle_evaluations": particles,
         "body_evaluations": infos[0].n_evaluations,
-        **{key: None if value is None else round(value, 2) for key, value in values.items()},
+        **{name: None if value is None else round(value, 2) for name, value in values.items()},
     }
 
 

@@ -7,7 +7,19 @@ import statistics
 import pytest
 
 from eval.decomposition.tables import read_csv
-from eval.thesis_summary import ACTIONS, OWN, PAGE, PUBLISHED, RESULTS, page, scores_of, table, with_average
+from eval.shbm_actions import FILTERS
+from eval.thesis_summary import (
+    ACTIONS,
+    OWN,
+    PAGE,
+    PUBLISHED,
+    RESULTS,
+    on_five_actions,
+    page,
+    scores_of,
+    table,
+    with_average,
+)
 
 
 def test_published_numbers_stand_beside_ours() -> None:
@@ -38,3 +50,18 @@ def test_averages_need_all_actions() -> None:
 
 def test_the_page_is_that_of_the_committed_results() -> None:
     assert PAGE.read_text(encoding="utf-8") == page()
+
+
+def test_five_actions_stand_beside_the_published_ones() -> None:
+    """Means over seeds, and their spread; as many evaluations as the source in the first table, fewer in the second."""
+    lines = [
+        {"scene": action, "filter": name, "seed": str(seed), "mean_mm": str(40 + 2 * seed), "mmtp_mm": "30",
+         "mmta_percent": "90"}
+        for action in ACTIONS for name in FILTERS for seed in (0, 1)
+    ]  # fmt: skip
+    text = "\n".join(on_five_actions(lines))
+    assert "| *SHBM-APF, model 1, published* | 42, 39 / 83 | 47, 43 / 75 |" in text
+    assert "| APF, 4 x 550, ours | 41 ± 1, 30 / 90 |" in text
+    assert "over\n2 seeds" in text
+    assert "| shbm model2 | 30 / 90 | 30 / 90 | 30 / 90 |" in text
+    assert on_five_actions([]) == []

@@ -1,0 +1,69 @@
+"""Worlds of the tracking comparison: each differs from the table's in what its name says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from eval import tracking_page
+from eval.tracking.hulls import HullClip
+from eval.tracking_causes import CLOTHES, crossing_clip, slowed, surface_lines, with_boxes
+from mocap.volume import surface_voxels
+
+
+def small() -> HullClip:
+    whole = crossing_clip(0.5, voxel_m=0.1)
+    kept = whole.truth.frame < 3
+    truth = type(whole.truth)(*(getattr(whole.truth, f)[kept] for f in ("frame", "person", "time_s", "xyz")))
+    return HullClip(whole.name, whole.fps, whole.frames[:3], whole.hulls[:3], truth, None)
+
+
+def test_a_slow_film_shows_every_frame_again() -> None:
+    clip = small()
+    slow = slowed(clip, 4)
+    assert (slow.fps, len(slow.hulls)) == (4 * clip.fps, 12)
+    for frame in range(12):
+        assert slow.hulls[frame] is clip.hulls[frame // 4]
+        np.testing.assert_array_equal(
+            slow.truth.xyz[slow.truth.frame == frame], clip.truth.xyz[clip.truth.frame == frame // 4]
+        )
+    np.testing.assert_allclose(slow.truth.time_s, slow.truth.frame / slow.fps)
+
+
+def test_boxes_join_the_hull_and_leave_the_persons_their_colours() -> None:
+    clip = small()
+    before, after = clip.hulls[0], with_boxes(clip, [[[-0.3, -0.9, 0.0], [0.3, -0.5, 0.8]]]).hulls[0]
+    added = np.setdiff1d(after.voxels, before.voxels)
+    centers = after.grid.centers(added)
+    assert len(added) > 50
+    assert np.all((centers >= [-0.3, -0.9, 0.0]) & (centers <= [0.3, -0.5, 0.8]))
+    own = np.searchsorted(after.voxels, before.voxels)
+    np.testing.assert_array_equal(after.rgb[own], before.rgb)
+    np.testing.assert_array_equal(after.is_surface, surface_voxels(after.voxels, after.grid))
+
+
+def test_two_persons_cross_and_wear_their_own_colours() -> None:
+    clip = crossing_clip(0.3, voxel_m=0.1)
+    first, last = (clip.truth.xyz[clip.truth.frame == f] for f in (0, clip.frames[-1]))
+    assert np.all(np.sign(first[:, 0]) == -np.sign(last[:, 0]))
+    np.testing.assert_allclose(np.diff(first[:, 1]), -0.3)
+    for k in range(2):
+        hull = clip.hulls[0]
+        near = np.linalg.norm(hull.grid.centers(hull.voxels)[:, :2] - first[k, :2], axis=1) < 0.25
+        assert near.any()
+        assert np.all(hull.rgb[near] == CLOTHES[k])
+
+
+def test_the_surface_needs_more_voxels_than_the_interior(monkeypatch: pytest.MonkeyPatch) -> None:
+    """CF Figure 4.7: the surface is the more sensitive one, and all voxels give the centroid."""
+    monkeypatch.setattr("eval.tracking_causes._N_DRAWS", 30)
+    lines = surface_lines()
+    for line in lines[:-1]:
+        assert float(line["surface_mm"]) > float(line["interior_mm"]) > 0.0
+    assert float(lines[-1]["surface_mm"]) < 0.01
+
+
+def test_the_sections_are_made_of_the_committed_files() -> None:
+    text = "\n".join([*tracking_page.crossing(), *tracking_page.share_of_voxels()])
+    for words in ("CF Figure 4.12", "CF Figure 4.7", "| SS-Color |"):
+        assert words in text
