@@ -129,6 +129,8 @@ def _write_person(
         poses,
         frames=poses.frames[keep],
         states=poses.states[keep],
+        landmarks=poses.landmarks[keep],
+        observed=poses.observed[keep],
         landmark_covariance=poses.landmark_covariance[keep],
     )
     motion_writers(shown, kept, fps, style)[format](path)

@@ -18,6 +18,7 @@ from mocap.io._files import atomic_text, writing
 from mocap.io.angle_table import write_angles_csv
 from mocap.io.formats import (
     BoneNames,
+    Event,
     MarkerNames,
     marker_names,
     renamed,
@@ -34,7 +35,7 @@ from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import write_scene
 from mocap.pipeline.tracking import every_frame
 from mocap.pose.angles import angles_of
-from mocap.pose.method import AngleSettings
+from mocap.pose.method import AngleSettings, ContactSettings
 from mocap.pose.opensim import opensim_bodies, opensim_coordinates
 from mocap.pose.result import PersonPoses
 from mocap.pose.steps import Gait, gait_of
@@ -49,12 +50,14 @@ STEP_COLUMNS = (
 
 @dataclass(frozen=True)
 class MotionStyle:
-    """How motion is written: names of bones and markers, whether gaps of a TRC are filled, how angles are found."""
+    """How motion is written: names of bones and markers, whether gaps of a TRC are filled, how angles and contacts are
+    found."""
 
     bone_names: BoneNames = "mocap"
     marker_names: MarkerNames = "mocap"
     is_filled: bool = False
     angles: AngleSettings = field(default_factory=AngleSettings)
+    contact: ContactSettings = field(default_factory=ContactSettings)
 
 
 def write_tables(found: Found, config: Config, folder: Path, *, has_poses: bool) -> None:
@@ -109,7 +112,11 @@ def write_exports(found: Found, config: Config, folder: Path, *, progress: Progr
     """Write into `folder` the exports of every person and the scene; gives what was left out, and why."""
     output, fps = config.output, found.session.fps
     style = MotionStyle(
-        output.bone_names, output.marker_names, output.trc_gaps == "filled", config.method.angles
+        output.bone_names,
+        output.marker_names,
+        output.trc_gaps == "filled",
+        config.method.angles,
+        config.method.contact,
     )
     steps: list[tuple[Path, Callable[[Path], None]]] = []
     for poses, motion in zip(found.poses, found.motions, strict=True):
@@ -144,10 +151,22 @@ def motion_writers(
         "trc": partial(
             write_trc, motion=motion, fps=fps, markers=style.marker_names, is_filled=style.is_filled
         ),
-        "c3d": partial(write_c3d, motion=motion, fps=fps),
+        "c3d": lambda path: write_c3d(path, motion, fps, foot_events(poses, fps, style.contact)),
         "mot": lambda path: write_mot(path, motion.time_s, opensim_coordinates(poses, style.angles)),
         "osim": lambda path: write_opensim(path, poses, motion, fps, style),
     }
+
+
+def foot_events(poses: PersonPoses, fps: float, settings: ContactSettings) -> list[Event]:
+    """Strikes and offs of both feet by time, as gait laboratories call them; none of a body without feet."""
+    first = int(poses.frames[0]) if len(poses.frames) else 0
+    found = [
+        Event(label, stance.side.title(), (row + first) / fps)
+        for stance in gait_of(poses, fps, settings).stances
+        for label, row in (("Foot Strike", stance.strike), ("Foot Off", stance.off))
+        if row is not None
+    ]
+    return sorted(found, key=lambda event: event.time_s)
 
 
 # Coordinates that no marker shows: inverse kinematics draws them to ours, so weakly that markers outweigh it.

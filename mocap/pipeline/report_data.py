@@ -114,6 +114,14 @@ def _motion_words(record: RunRecord) -> list[tuple[str, str]]:
         rows.append(
             ("Jitter of landmarks", ", ".join(f"person {p}: {v:.0f} m/s^3" for p, v in jitter.items()))
         )
+    walked = {p: n for p, n in persons.items() if n.get("steps") and n.get("cadence_per_min") is not None}
+    if walked:
+        words = (
+            f"person {p}: {n['steps']:.0f} at {n['cadence_per_min']:.0f} per minute, {n['step_length_m']:.2f} m long, "
+            f"{n['step_width_m']:.2f} m wide, {n['speed_m_s']:.2f} m/s"
+            for p, n in walked.items()
+        )
+        rows.append(("Steps", ", ".join(words)))
     return rows
 
 

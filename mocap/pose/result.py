@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body
 from mocap.body.initial import HeightEstimate
-from mocap.data import Motion, landmark_names
+from mocap.data import LANDMARKS, Motion, landmark_names
 from mocap.metrics.smoothness import smoothness_scores
 from mocap.pose.deviation import FrameSeries
 
@@ -56,7 +56,8 @@ def motion_of(poses: PersonPoses, fps: float) -> Motion:
 
 def motion_numbers(poses: PersonPoses, fps: float) -> dict[str, float | None]:
     """How much the landmarks tremble (m/s^3, None for a clip of fewer than four frames) and how much was observed."""
-    jitter = smoothness_scores(poses.landmarks, poses.landmarks, poses.frames, fps).jitter_estimate_m_s3
+    fifteen = poses.landmarks[:, : len(LANDMARKS)]
+    jitter = smoothness_scores(fifteen, fifteen, poses.frames, fps).jitter_estimate_m_s3
     return {
         "jitter_m_s3": None if jitter is None else round(jitter, 1),
         "observed_percent": round(100.0 * float(poses.observed.mean()), 1),

@@ -35,7 +35,7 @@ def smooth_motion(body: Body, series: FrameSeries, fps: float, lag: int, method:
     push = np.full(len(joint), numbers.acceleration_m_s2 / fps**2)
     smoothed, _, _ = smooth_points(points, variance, push, lag=lag)
     weight = np.ones(smoothed.shape[:2])
-    if len(body.landmarks) > len(LANDMARKS):
+    if len(body.landmarks) > len(LANDMARKS) and method.contact.hold > 0:
         # The landmarks are the first of the points.
         sole = list(SOLE_POINTS)
         contacts = contacts_of(smoothed[:, sole], variance[:, sole], fps, method.contact)

@@ -1,6 +1,7 @@
 """Contacts of heels and toes, what is held on the floor, steps, and what is said of the floor."""
 
 from dataclasses import replace
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
@@ -8,9 +9,11 @@ import pytest
 from mocap.body import landmarks_of, load_body_model, scale_body
 from mocap.body.initial import HeightEstimate
 from mocap.data.motion import ALL_LANDMARKS, FURTHER_LANDMARKS
+from mocap.io.formats import write_c3d
+from mocap.pipeline.outputs import foot_events
 from mocap.pose.contacts import SOLE_POINTS, contacts_of, held, lowest_level, slips_m, unbroken_runs
 from mocap.pose.method import ContactSettings
-from mocap.pose.result import PersonPoses
+from mocap.pose.result import PersonPoses, motion_of
 from mocap.pose.steps import check_floor, gait_numbers, gait_of, warnings_of_gait
 from mocap.synth.figure import (
     feet_and_hands_of,
@@ -207,3 +210,21 @@ def test_whole_is_girdle_until_its_feet_and_hands_move() -> None:
     toe = ALL_LANDMARKS.index("left_toe")
     rest, lifted = (landmarks_of(whole, np.zeros(len(state))[None] + s)[0, toe, 2] for s in (0, up - state))
     assert lifted > rest + 0.03
+
+
+def test_strikes_and_offs_are_events_of_a_c3d_file(tmp_path: FilePath) -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    poses = poses_of(walk())
+    poses = replace(poses, frames=poses.frames + 30)
+    events = foot_events(poses, FPS, SETTINGS)
+    assert {event.side for event in events} == {"Left", "Right"}
+    write_c3d(tmp_path / "walk.c3d", motion_of(poses, FPS), FPS, events)
+    group = ezc3d.c3d(str(tmp_path / "walk.c3d"))["parameters"]["EVENT"]
+    assert group["USED"]["value"][0] == len(events)
+    assert list(group["LABELS"]["value"]) == [event.label for event in events]
+    assert list(group["CONTEXTS"]["value"]) == [event.side for event in events]
+    minutes, seconds = group["TIMES"]["value"]
+    np.testing.assert_allclose(60 * minutes + seconds, [event.time_s for event in events], atol=1e-5)
+    strikes = [s.strike + 30 for s in gait_of(poses, FPS, SETTINGS).stances if s.strike is not None]
+    told = [event.time_s * FPS for event in events if event.label == "Foot Strike"]
+    np.testing.assert_allclose(sorted(told), sorted(strikes))

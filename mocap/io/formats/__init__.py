@@ -5,7 +5,7 @@ Every file is written whole or not at all, and the same input gives the same byt
 
 from mocap.io.formats.bone_names import BONE_NAMES, BoneNames, renamed
 from mocap.io.formats.bvh import write_bvh
-from mocap.io.formats.c3d import write_c3d
+from mocap.io.formats.c3d import Event, write_c3d
 from mocap.io.formats.gltf import write_glb
 from mocap.io.formats.marker_names import MARKER_NAMES, MarkerNames, marker_names
 from mocap.io.formats.mot import write_mot
@@ -26,6 +26,7 @@ __all__ = [
     "EXPORT_CONVENTIONS",
     "MARKER_NAMES",
     "BoneNames",
+    "Event",
     "MarkerNames",
     "PoseFile",
     "PoseTable",

@@ -6,10 +6,10 @@ import errno
 import os
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,12 +84,22 @@ def _number(value: Any) -> float:
     return float(value) if isinstance(value, int | float) else 0.0
 
 
-def write_c3d(path: Path, motion: Motion, fps: float) -> None:
+class Event(NamedTuple):
+    """A moment of the recording, such as a left `Foot Strike`.  side : `Left`, `Right` or `General`.  time_s : of the
+    frame, as frame / fps."""
+
+    label: str
+    side: str
+    time_s: float
+
+
+def write_c3d(path: Path, motion: Motion, fps: float, events: Sequence[Event] = ()) -> None:
     """Write the landmarks of one person as a C3D file in millimetres, Z up, axes as in the scene.
 
     Millimetres are what readers of C3D assume; the file says so in POINT:UNITS. One frame for every frame
     from the motion's first to its last; an unknown landmark has the residual -1 (C3D's mark of an invalid
-    point). Needs the extra `export`; without it, for a motion without frames, or when the file cannot be
+    point).  events : into the group EVENT.
+    Needs the extra `export`; without it, for a motion without frames, or when the file cannot be
     written, MocapError. Raises ValueError for fps <= 0.
     """
     check_fps(fps)
@@ -119,6 +129,11 @@ def write_c3d(path: Path, motion: Motion, fps: float) -> None:
     point["UNITS"]["value"] = ["mm"]
     c3d.add_parameter("POINT", "X_SCREEN", ["+X"])
     c3d.add_parameter("POINT", "Y_SCREEN", ["+Z"])
+    if events:
+        c3d.add_parameter("EVENT", "USED", [len(events)])
+        c3d.add_parameter("EVENT", "CONTEXTS", [event.side for event in events])
+        c3d.add_parameter("EVENT", "LABELS", [event.label for event in events])
+        c3d.add_parameter("EVENT", "TIMES", np.array([[0.0, event.time_s] for event in events]).T)
     c3d["header"]["points"]["first_frame"] = int(motion.frames[0])
     c3d["data"]["points"] = points
     c3d["data"]["meta_points"]["residuals"] = np.where(known.T, 0.0, -1.0)[None]
