@@ -1,4 +1,4 @@
-"""Figures of the report: plots of errors, paths, time, silhouettes and the filter."""
+"""Curves and pictures of the report for researchers: errors, paths, silhouettes, furniture and the filter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mocap.data import LANDMARKS
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.metrics import point_errors
 from mocap.pipeline.panels import chosen_frames, images_of
-from mocap.pipeline.record import OUTPUTS, Found, RunRecord
+from mocap.pipeline.record import Found, RunRecord
 from mocap.pipeline.scene_frames import room_bounds
 from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
@@ -20,6 +20,8 @@ from mocap.products.hulls import grid_from_attrs, hull_from_arrays
 from mocap.products.masks import masks_from_arrays
 from mocap.products.occluders import stored_occluders
 from mocap.view import Figure
+from mocap.view.curves import Chart, Curve, colour_of, on_every_frame
+from mocap.view.html import Section
 from mocap.volume import silhouette_residuals
 
 Array = NDArray[np.float64]
@@ -29,39 +31,35 @@ SilhouetteNumbers = dict[str, dict[str, float | None]]
 _RESIDUAL_FRAMES = 12  # of which hull and silhouettes are compared
 
 
-def run_figures(record: RunRecord, found: Found, silhouettes: SilhouetteNumbers) -> Iterator[Figure]:
-    """Every figure that there is something to draw for.  silhouettes : of `silhouette_numbers`."""
-    yield from _accuracy(record, found)
+def run_figures(found: Found) -> Iterator[Figure]:
+    """Pictures beside the curves: the paths from above, and what can stand in front of people."""
     yield _paths(found)
-    yield from _timing(record)
-    yield from _silhouettes(found, silhouettes)
     yield from _occluders(found)
-    yield from _filter_health(found)
 
 
-def _accuracy(record: RunRecord, found: Found) -> Iterator[Figure]:
-    from mocap.view import plot_error_over_time, plot_landmark_errors
+def run_charts(record: RunRecord, found: Found) -> Iterator[tuple[Section, Chart]]:
+    """Curves over time that researchers look at, each with the section of the report that it belongs to."""
+    yield from (("accuracy", chart) for chart in _errors(record, found))
+    yield from (("silhouettes", chart) for chart in _foreground(found))
+    yield from (("other", chart) for chart in _filter_health(found))
 
+
+def _errors(record: RunRecord, found: Found) -> Iterator[Chart]:
     truth = found.session.truth_dir
     if record.scores is None or truth is None or not found.poses:
         return
-    errors = errors_by_person(found, truth)
-    if errors:
-        yield Figure(
-            "Error over time",
-            "Distance between estimated and true landmarks: mean and worst landmark of every frame.",
-            plot_error_over_time(errors),
-            section="accuracy",
-        )
-    per_landmark = record.scores.get("per_landmark_mm")
-    if per_landmark:
-        yield Figure(
-            "Error by landmark",
-            "Mean distance to the truth. Definitions of neck, head and hips differ between body models by "
-            "a few centimetres.",
-            plot_landmark_errors({k: v for k, v in per_landmark.items() if v is not None}),
-            section="accuracy",
-        )
+    for person, (frames, errors) in errors_by_person(found, truth).items():
+        with np.errstate(invalid="ignore"):
+            known = np.isfinite(errors).any(axis=1)
+        frames, errors = frames[known], errors[known]
+        if len(frames):
+            curves = (
+                Curve("mean", "middle", np.nanmean(errors, axis=1)),
+                Curve("worst landmark", "right", np.nanmax(errors, axis=1)),
+            )
+            yield on_every_frame(
+                Chart(f"Error over time, person {person}", "mm", frames, found.session.fps, curves)
+            )
 
 
 def _paths(found: Found) -> Figure:
@@ -78,40 +76,17 @@ def _paths(found: Found) -> Figure:
     )
 
 
-def _timing(record: RunRecord) -> Iterator[Figure]:
-    from mocap.view import plot_stage_timing
-
-    timing = {k: 1000.0 * v / len(record.frames) for k, v in record.timings_s.items() if k != OUTPUTS}
-    if timing:
-        yield Figure(
-            "Time per stage",
-            "Wall-clock milliseconds per frame.",
-            plot_stage_timing(timing),
-            section="timing",
-        )
-
-
-def _silhouettes(found: Found, silhouettes: SilhouetteNumbers) -> Iterator[Figure]:
-    from mocap.view import plot_foreground_share, plot_mask_quality
-
-    if found.hulls is not None:
-        rows = [(frame, a["share"]) for frame, a in found.hulls.reader(masks_product.PRODUCT)]
-        shares = np.array([share for _, share in rows], dtype=np.float64)
-        yield Figure(
-            "Foreground by camera",
-            "Share of the picture that was taken for a person; a jump in one camera is a light or a bump.",
-            plot_foreground_share(
-                np.array([frame for frame, _ in rows]),
-                {name: shares[:, c] for c, name in enumerate(found.session.rig.names)},
-            ),
-        )
-    if silhouettes:
-        yield Figure(
-            "Defects of the silhouettes",
-            "Long bars mark cameras whose silhouettes to look at.",
-            plot_mask_quality(silhouettes),
-            section="silhouettes",
-        )
+def _foreground(found: Found) -> Iterator[Chart]:
+    """The share of every picture that was taken for a person; a jump in one camera is a light or a bump."""
+    if found.hulls is None:
+        return
+    rows = [(frame, a["share"]) for frame, a in found.hulls.reader(masks_product.PRODUCT)]
+    if not rows:
+        return
+    shares = 100.0 * np.array([share for _, share in rows], dtype=np.float64)
+    curves = tuple(Curve(name, colour_of(c), shares[:, c]) for c, name in enumerate(found.session.rig.names))
+    frames = np.array([frame for frame, _ in rows], dtype=np.int64)
+    yield on_every_frame(Chart("Foreground by camera", "% of the picture", frames, found.session.fps, curves))
 
 
 def _occluders(found: Found) -> Iterator[Figure]:
@@ -133,20 +108,19 @@ def _occluders(found: Found) -> Iterator[Figure]:
         )
 
 
-def _filter_health(found: Found) -> Iterator[Figure]:
-    from mocap.view import FilterHealth, plot_filter_health
-
-    if not found.poses or len(found.session.frames) < 2:
+def _filter_health(found: Found) -> Iterator[Chart]:
+    """Effective share of the particles and log-likelihood of the pose; a drop marks frames to look at."""
+    if len(found.session.frames) < 2:
         return
-    health = [
-        FilterHealth(person=p.person, frames=p.frames, ess_share=p.ess_share, log_likelihood=p.log_likelihood)
-        for p in found.poses
-    ]
-    yield Figure(
-        "Health of the filter",
-        "Effective share of the particles and log-likelihood of the pose; a drop marks frames to look at.",
-        plot_filter_health(health),
-    )
+    for p in found.poses:
+        for title, unit, values in (
+            ("Particles that carry weight", "share", p.ess_share),
+            ("Log-likelihood of the pose", "nats", p.log_likelihood),
+        ):
+            if np.isfinite(values).any():
+                curve = Curve(f"person {p.person}", "middle", np.where(np.isfinite(values), values, np.nan))
+                name = f"{title}, person {p.person}"
+                yield on_every_frame(Chart(name, unit, p.frames, found.session.fps, (curve,)))
 
 
 def silhouette_numbers(record: RunRecord, found: Found) -> SilhouetteNumbers:

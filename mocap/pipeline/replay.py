@@ -15,7 +15,7 @@ from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import body_parts, room_bounds, rows_at, shown_frames
 from mocap.pose.method import SmoothSettings
 from mocap.pose.result import PersonPoses
-from mocap.view.curves import Chart, Curve
+from mocap.view.curves import Chart, Curve, on_every_frame
 from mocap.view.overlay import draw_limbs
 from mocap.view.replay import Replay, ReplayPerson, webp
 
@@ -27,7 +27,8 @@ PICTURE_BYTES = 3_200_000
 # (width px, quality) of a camera's picture; the first whose pictures of all frames fit is taken, and of the last one as
 # many frames as fit.
 _SIZES = ((160, 40), (144, 35), (128, 30), (112, 25))
-_N_SAMPLES = 3
+# Frames that tell the size, near the beginning: to read on would be to decode the clips twice.
+_SAMPLES = (0, 7, 14)
 _BASE64 = 4.0 / 3.0
 # Speed is measured over so long: shorter spans show the trembling of the poses.
 _SPEED_SPAN_S = 0.2
@@ -66,9 +67,11 @@ def replay_of(found: Found, *, picture_bytes: int = PICTURE_BYTES) -> Replay:
         return replay
     width, quality, chosen = _fitting(found, frames, picture_bytes)
     sheet = _Sheet(camera_rig.cameras, width, quality)
-    return replace(
-        replay, picture_frames=chosen, sheets=tuple(_sheets(found, chosen, sheet)), tiles=sheet.tiles
-    )
+    sheets = list(_sheets(found, chosen, sheet))
+    while len(sheets) > 1 and _BASE64 * sum(len(s) for s in sheets) > picture_bytes:
+        # Later frames are heavier than the samples were.
+        sheets, chosen = sheets[::2], chosen[::2]
+    return replace(replay, picture_frames=chosen, sheets=tuple(sheets), tiles=sheet.tiles)
 
 
 def _places(poses: PersonPoses, frames: NDArray[np.int64]) -> Array:
@@ -121,7 +124,7 @@ def _sheets(found: Found, frames: NDArray[np.int64], sheet: _Sheet) -> Iterator[
 
 def _fitting(found: Found, frames: NDArray[np.int64], limit: int) -> tuple[int, int, NDArray[np.int64]]:
     """Width, quality and frames of the pictures, so that they stay below `limit` bytes in the page."""
-    samples = frames[np.unique(np.linspace(0, len(frames) - 1, _N_SAMPLES).round().astype(int))]
+    samples = frames[[i for i in _SAMPLES if i < len(frames)]]
     read = [(frame, images) for frame, images in images_of(found, samples)]
     for width, quality in _SIZES:
         sheet = _Sheet(found.session.rig.cameras, width, quality)
@@ -144,11 +147,11 @@ def charts_of(poses: PersonPoses, angles: AngleSeries, fps: float) -> list[Chart
             if f"{side}_{name}" in angles.names
         ]
         if curves:
-            charts.append(_on_every_frame(Chart(title, "degrees", poses.frames, fps, tuple(curves))))
+            charts.append(on_every_frame(Chart(title, "degrees", poses.frames, fps, tuple(curves))))
     for title, name in _MIDDLE_CHARTS:
         if name in angles.names:
             chart = Chart(title, "degrees", poses.frames, fps, (_curve(angles, name, title, "middle"),))
-            charts.append(_on_every_frame(chart))
+            charts.append(on_every_frame(chart))
     return charts
 
 
@@ -157,34 +160,6 @@ def _curve(angles: AngleSeries, name: str, label: str, kind: str) -> Curve:
     std = None if angles.std is None else np.rad2deg(angles.std[:, a])
     seen = None if angles.observed is None else angles.observed[:, a]
     return Curve(label, kind, np.rad2deg(np.unwrap(angles.values[:, a])), std, seen)
-
-
-def _on_every_frame(chart: Chart) -> Chart:
-    """The chart with a row for every frame from the first to the last; new rows are gaps."""
-    first, last = int(chart.frames[0]), int(chart.frames[-1])
-    if len(chart.frames) == last - first + 1:
-        return chart
-    rows, n = chart.frames - first, last - first + 1
-
-    def spread(values: Array | None) -> Array | None:
-        if values is None:
-            return None
-        out = np.full(n, np.nan)
-        out[rows] = values
-        return out
-
-    def seen(observed: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
-        if observed is None:
-            return None
-        out = np.zeros(n, dtype=np.bool_)
-        out[rows] = observed
-        return out
-
-    curves = tuple(
-        replace(c, values=np.asarray(spread(c.values)), std=spread(c.std), observed=seen(c.observed))
-        for c in chart.curves
-    )
-    return Chart(chart.title, chart.unit, np.arange(first, last + 1), chart.fps, curves)
 
 
 def speeds_m_s(poses: PersonPoses, fps: float) -> tuple[Array, float]:
@@ -206,7 +181,7 @@ def speeds_m_s(poses: PersonPoses, fps: float) -> tuple[Array, float]:
 def _speed_chart(poses: PersonPoses, fps: float) -> Chart:
     speed, std = speeds_m_s(poses, fps)
     curve = Curve("pelvis", "middle", speed, np.full(len(speed), std))
-    return _on_every_frame(Chart("Speed over the floor", "m/s", poses.frames, fps, (curve,)))
+    return on_every_frame(Chart("Speed over the floor", "m/s", poses.frames, fps, (curve,)))
 
 
 def _height_chart(poses: PersonPoses, fps: float) -> Chart:
@@ -216,7 +191,7 @@ def _height_chart(poses: PersonPoses, fps: float) -> Chart:
         m = names.index(name)
         std = np.sqrt(poses.landmark_covariance[:, m, 2, 2])
         curves.append(Curve(name, kind, poses.landmarks[:, m, 2], std, poses.observed[:, m]))
-    return _on_every_frame(Chart("Height over the floor", "m", poses.frames, fps, tuple(curves)))
+    return on_every_frame(Chart("Height over the floor", "m", poses.frames, fps, tuple(curves)))
 
 
 def person_summary(poses: PersonPoses, angles: AngleSeries, fps: float) -> str:

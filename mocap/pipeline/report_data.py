@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from mocap.pipeline.figures import run_figures, silhouette_numbers
+from mocap.pipeline.figures import run_charts, run_figures, silhouette_numbers
 from mocap.pipeline.panels import frame_panels
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, printable
 from mocap.pipeline.replay import charts_of, person_summary, replay_of
@@ -57,7 +57,8 @@ def write_run_report(result: RunResult, path: Path) -> None:
             for stage, seconds in record.timings_s.items()
             if stage != OUTPUTS
         },
-        figures=tuple(run_figures(record, found, silhouettes)),
+        figures=tuple(run_figures(found)),
+        charts=tuple(run_charts(record, found)),
         frames=tuple(frame_panels(found, record.config.output)),
         outputs=tuple(_output_words(names)),
         command=record.command

@@ -111,7 +111,8 @@ def _with_spine(
         missed = angles[:, bent] - settings.spine_share * angles[:, tilted]
     for i in range(len(states)):
         _, J, _ = point_jacobian(body, states[i], body.landmark_joint, body.landmark_offset)
-        A = np.einsum("lri,lrc,lcj->ij", J, information[i], J, optimize=True) + np.diag(weak)
+        flat = J.reshape(-1, J.shape[-1])
+        A = flat.T @ (information[i] @ J).reshape(flat.shape) + np.diag(weak)
         covariance = np.linalg.inv(A)
         if has_spine:
             row = slope[i, bent] - settings.spine_share * slope[i, tilted]
@@ -119,7 +120,7 @@ def _with_spine(
             gain = across / (row @ across + np.deg2rad(settings.spine_std_deg) ** 2)
             out[i] -= gain * missed[i]
             covariance -= np.outer(gain, across)
-        variance[i] = np.einsum("ai,ij,aj->a", slope[i], covariance, slope[i], optimize=True)
+        variance[i] = ((slope[i] @ covariance) * slope[i]).sum(axis=1)
     return np.clip(out, body.layout.lower, body.layout.upper), variance
 
 

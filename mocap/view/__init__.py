@@ -17,14 +17,8 @@ from mocap.view.overlay import (
 )
 from mocap.view.places import draw_places
 from mocap.view.plots import (
-    FilterHealth,
     plot_error_over_time,
-    plot_filter_health,
-    plot_foreground_share,
-    plot_joint_angles,
     plot_landmark_errors,
-    plot_mask_quality,
-    plot_stage_timing,
     plot_track_map,
 )
 from mocap.view.report import REPORT_SCORES, FramePanel, PersonPage, ReportData, write_report
@@ -35,7 +29,6 @@ __all__ = [
     "SIDE_COLOURS",
     "BodyPart",
     "Figure",
-    "FilterHealth",
     "FramePanel",
     "PersonPage",
     "ReportData",
@@ -52,12 +45,7 @@ __all__ = [
     "person_colour",
     "person_window",
     "plot_error_over_time",
-    "plot_filter_health",
-    "plot_foreground_share",
-    "plot_joint_angles",
     "plot_landmark_errors",
-    "plot_mask_quality",
-    "plot_stage_timing",
     "plot_track_map",
     "write_report",
     "write_rrd",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 _WIDTH, _HEIGHT = 420, 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 44, 410, 12, 164
+N_COLOURS = 8
 _MOST_POINTS = 400  # a picture has no more columns
 # Half width of a band that holds 90 % of a normal distribution, in standard deviations.
 _WIDTH_90 = 1.6449
@@ -32,13 +33,47 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Curves with one axis.  frames : (T,).  kind of a curve, for its colour : left, right, middle."""
+    """Curves with one axis.  frames : (T,).  kind of a curve, for its colour : left, right, middle, or that
+    of `colour_of`."""
 
     title: str
     unit: str
     frames: NDArray[np.int64]
     fps: float
     curves: tuple[Curve, ...]
+
+
+def on_every_frame(chart: Chart) -> Chart:
+    """The chart with a row for every frame from the first to the last; new rows are gaps."""
+    first, last = int(chart.frames[0]), int(chart.frames[-1])
+    if len(chart.frames) == last - first + 1:
+        return chart
+    rows, n = chart.frames - first, last - first + 1
+
+    def spread(values: Array | None) -> Array | None:
+        if values is None:
+            return None
+        out = np.full(n, np.nan)
+        out[rows] = values
+        return out
+
+    def seen(observed: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+        if observed is None:
+            return None
+        out = np.zeros(n, dtype=np.bool_)
+        out[rows] = observed
+        return out
+
+    curves = tuple(
+        replace(c, values=np.asarray(spread(c.values)), std=spread(c.std), observed=seen(c.observed))
+        for c in chart.curves
+    )
+    return Chart(chart.title, chart.unit, np.arange(first, last + 1), chart.fps, curves)
+
+
+def colour_of(i: int) -> str:
+    """The kind of the i-th of several curves that have no sides, for its colour; colours come again after eight."""
+    return f"c{i % N_COLOURS}"
 
 
 def charts_html(charts: Iterable[Chart]) -> str:

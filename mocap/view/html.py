@@ -284,7 +284,7 @@ background:var(--ground);color:var(--ink);cursor:pointer}
 .charts{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(330px,100%),1fr));gap:14px 18px;
 margin:8px 0 18px}
 .curve figcaption{font-size:14px;display:flex;flex-wrap:wrap;gap:2px 8px;align-items:baseline}
-.curve small{color:var(--faint)}.curve .keys{display:flex;gap:10px;color:var(--faint);margin-left:auto}
+.curve small{color:var(--faint)}.curve .keys{display:flex;flex-wrap:wrap;gap:0 10px;color:var(--faint);margin-left:auto}
 .key{display:inline-block;width:14px;height:3px;margin-right:5px;vertical-align:middle}
 .chart{display:block;width:100%;height:auto;cursor:crosshair}
 .chart text{font:11px system-ui,sans-serif;fill:var(--faint)}
@@ -294,6 +294,10 @@ margin:8px 0 18px}
 .chart .left{stroke:#2f86d6}.chart .band.left{fill:#2f86d6}.key.left{background:#2f86d6}
 .chart .right{stroke:#e07b1a}.chart .band.right{fill:#e07b1a}.key.right{background:#e07b1a}
 .chart .middle{stroke:#7a8794}.chart .band.middle{fill:#7a8794}.key.middle{background:#7a8794}
+.chart .c0{stroke:#0072b2}.key.c0{background:#0072b2}.chart .c1{stroke:#d55e00}.key.c1{background:#d55e00}
+.chart .c2{stroke:#009e73}.key.c2{background:#009e73}.chart .c3{stroke:#cc79a7}.key.c3{background:#cc79a7}
+.chart .c4{stroke:#e69f00}.key.c4{background:#e69f00}.chart .c5{stroke:#56b4e9}.key.c5{background:#56b4e9}
+.chart .c6{stroke:#7a8794}.key.c6{background:#7a8794}.chart .c7{stroke:#8c6d31}.key.c7{background:#8c6d31}
 textarea.summary{width:100%;font-family:ui-monospace,"DejaVu Sans Mono",Menlo,Consolas,monospace;font-size:12.5px;
 background:var(--ground);color:var(--ink);border:1px solid var(--line);border-radius:6px;padding:8px;resize:vertical}
 @media (max-width:720px){header,main{padding:0 10px}section{padding:16px 12px}

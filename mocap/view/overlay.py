@@ -192,15 +192,16 @@ def draw_limbs(image: Image, camera: Camera, parts: Sequence[BodyPart], *, alpha
         return out
     ends = np.array([[start, end] for _, start, end, _, _ in cones], dtype=np.float64)
     uv, depth = camera.project(ends)
-    uv = _drawable(uv)
+    uv, far = _drawable(uv), depth.mean(axis=1)
     radii = np.array([0.5 * (r0 + r1) for *_, r0, r1 in cones])
+    known = np.asarray(np.isfinite(uv).all(axis=(1, 2)))
+    width = np.zeros(len(cones), dtype=np.int64)
+    width[known] = np.rint(2.0 * radii[known] * camera.K[0, 0] / far[known]).clip(1, _MOST_LINE_PX)
+    places = _fixed_point(np.where(known[:, None, None], uv, 0.0))
     layer = out.copy()
-    for k in np.argsort(-depth.mean(axis=1)):  # NaN comes last and is left out
-        if _is_known(uv[k]).all():
-            width = round(2.0 * radii[k] * camera.K[0, 0] / max(float(depth[k].mean()), 1e-6))
-            _line(
-                layer, _fixed_point(uv[k]), SIDE_COLOURS[cones[k][0]], int(np.clip(width, 1, _MOST_LINE_PX))
-            )
+    for k in np.argsort(-far).tolist():
+        if known[k]:
+            _line(layer, places[k], SIDE_COLOURS[cones[k][0]], int(width[k]))
     return np.asarray(cv2.addWeighted(layer, alpha, out, 1.0 - alpha, 0.0), dtype=np.uint8)
 
 

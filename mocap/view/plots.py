@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,13 +11,11 @@ from numpy.typing import NDArray
 from mocap.data import LANDMARKS, Camera, CameraRig, Tracks
 from mocap.view.overlay import SIDE_COLOURS, person_colour, side_of_landmark
 from mocap.view.plotting import (
-    FAINT,
     INK,
     LINE_COLOURS,
     empty,
     finish,
     hex_colour,
-    line_style,
     marker_of,
     new_figure,
     note,
@@ -28,21 +25,6 @@ from mocap.view.plotting import (
 
 Array = NDArray[np.float64]
 Frames = NDArray[np.integer]
-
-
-@dataclass(frozen=True, eq=False)
-class FilterHealth:
-    """How one person's particle filter fared over time; None where the filter does not know it.
-
-    frames : (T,).  ess_share : (T,) effective sample size over number of particles, 0..1.
-    survival_rate : (T,) 0..1.  log_likelihood : (T,) of the estimate.
-    """
-
-    person: int
-    frames: Frames
-    ess_share: Array | None = None
-    survival_rate: Array | None = None
-    log_likelihood: Array | None = None
 
 
 def plot_error_over_time(
@@ -216,151 +198,6 @@ def _mark_path(ax: Any, piece: Tracks, colour: str) -> None:
     if piece.observed is not None and not piece.observed.all():
         hidden = np.where(piece.observed[:, None], np.nan, path)
         ax.plot(hidden[:, 0], hidden[:, 1], ".", color="white", ms=3, zorder=5)
-
-
-def plot_stage_timing(ms_per_frame: Mapping[str, float]) -> bytes:
-    """Milliseconds per frame of each stage as bars, and the frame rate of all together.
-
-    ms_per_frame : stage -> ms, in the order of the pipeline; NaN and None are left out.
-    """
-    stages = {name: float(v) for name, v in ms_per_frame.items() if v is not None and np.isfinite(v)}
-    figure, (ax,) = new_figure(1, height=0.9 + 0.34 * max(2, len(stages)))
-    total = sum(stages.values())
-    if stages:
-        place = np.arange(len(stages))
-        ax.barh(place, list(stages.values()), color=LINE_COLOURS[0], height=0.66)
-        for y, value in zip(place, stages.values(), strict=True):
-            share = f" ({100 * value / total:.0f} %)" if total > 0 else ""
-            note(ax, f"{value:.1f}{share}", (value, y), (5, -3))
-        ax.set_xlim(0, 1.2 * max(max(stages.values()), 1e-6))
-        ax.set_yticks(place, [words(name) for name in stages])
-    else:
-        empty(ax, "no stage was timed")
-    ax.invert_yaxis()
-    speed = f"together {total:.1f} ms per frame = {1000 / total:.1f} frames/s" if total > 0 else ""
-    finish(ax, speed, "milliseconds per frame", "", grid="x")
-    return png(figure)
-
-
-def plot_foreground_share(frames: Frames, shares: Mapping[str, Array]) -> bytes:
-    """Share of the picture that is foreground, per camera over time.
-
-    frames : (T,).  shares : camera -> (T,) 0..1. A camera far from the others, or one that jumps, has a
-    background that no longer fits (moved camera, changed light).
-    """
-    figure, (ax,) = new_figure(1, height=2.8)
-    for i, (name, share) in enumerate(shares.items()):
-        ax.plot(
-            frames, 100 * np.asarray(share), label=name, lw=1.4, marker=marker_of(frames), **line_style(i)
-        )
-    if not shares:
-        empty(ax, "no masks were made")
-    ax.set_ylim(bottom=0)
-    finish(ax, "", "frame", "foreground (% of picture)", legend=True)
-    return png(figure)
-
-
-def plot_mask_quality(numbers: Mapping[str, Mapping[str, float | None]]) -> bytes:
-    """Flicker, leakage and disagreement with the volume as bars, per camera.
-
-    numbers : camera -> `flicker`, `leakage`, `residual`, shares 0..1; None = not known.
-    """
-    kinds = {"flicker": "flicker", "leakage": "leakage", "residual": "outside the volume"}
-    figure, (ax,) = new_figure(1, height=0.9 + 0.34 * max(2, len(numbers)))
-    place = np.arange(len(numbers))
-    longest = 0.0
-    for i, (key, label) in enumerate(kinds.items()):
-        values = [numbers[camera].get(key) for camera in numbers]
-        width = [100 * v if v is not None and np.isfinite(v) else 0.0 for v in values]
-        longest = max([longest, *width])
-        ax.barh(place + 0.26 * (i - 1), width, height=0.24, color=LINE_COLOURS[i], label=label)
-    if not numbers:
-        empty(ax, "no masks were made")
-    ax.set_yticks(place, list(numbers))
-    ax.invert_yaxis()
-    # Good masks must not look bad because the axis ends at the worst of them.
-    ax.set_xlim(0, max(5.0, 1.05 * longest))
-    finish(ax, "", "% of the foreground", "", grid="x", legend=True)
-    return png(figure)
-
-
-def plot_filter_health(health: Sequence[FilterHealth]) -> bytes:
-    """Effective sample size, survival rate and log-likelihood of the particle filters over time.
-
-    A share of weighted particles that is low and falling says that the filter is losing the person.
-    """
-    figure, axes = new_figure(2, height=2.2)
-    for item in health:
-        colour = hex_colour(person_colour(item.person))
-        for values, style, name in (
-            (item.ess_share, "-", "ESS / N"),
-            (item.survival_rate, ":", "survival rate"),
-        ):
-            if values is not None:
-                label = f"{name}, person {item.person}"
-                axes[0].plot(
-                    item.frames,
-                    values,
-                    style,
-                    marker=marker_of(item.frames),
-                    color=colour,
-                    lw=1.5,
-                    label=label,
-                )
-        if item.log_likelihood is not None:
-            label = f"person {item.person}"
-            axes[1].plot(
-                item.frames,
-                item.log_likelihood,
-                marker=marker_of(item.frames),
-                color=colour,
-                lw=1.5,
-                label=label,
-            )
-    axes[0].set_ylim(0, 1.02)
-    for ax in axes:
-        if not ax.lines:
-            empty(ax, "not recorded by this filter")
-    finish(axes[0], "Particles that carry weight", "", "share", legend=True)
-    finish(axes[1], "Log-likelihood of the estimate", "frame", "log-likelihood", legend=True)
-    return png(figure)
-
-
-def plot_joint_angles(
-    frames: Frames, angles_rad: Array, names: Sequence[str], *, n_columns: int = 3
-) -> bytes:
-    """Joint angles over time as small multiples, all on the same scale.
-
-    frames : (T,).  angles_rad : (T, D) rad; NaN leaves a gap.  names : D texts; left is blue, right orange.
-    """
-    angles = np.degrees(np.asarray(angles_rad, dtype=np.float64))
-    if angles.shape != (len(frames), len(names)):
-        raise ValueError(f"angles_rad has shape {angles.shape}, expected {(len(frames), len(names))}")
-    n_rows = max(1, -(-len(names) // n_columns))
-    figure, axes = new_figure(n_rows, height=1.25, n_columns=n_columns)
-    finite = angles[np.isfinite(angles)]
-    reach = 1.05 * float(np.abs(finite).max()) if finite.size else 90.0
-    for i, ax in enumerate(axes):
-        if i >= len(names):
-            ax.set_visible(False)
-            continue
-        side = side_of_landmark(names[i])
-        colour = hex_colour(SIDE_COLOURS[side]) if side != "middle" else INK
-        ax.axhline(0, color=FAINT, lw=0.9)
-        ax.plot(frames, angles[:, i], marker=marker_of(frames), color=colour, lw=1.3)
-        ax.set_ylim(-max(reach, 10), max(reach, 10))
-        is_last = i + n_columns >= len(names)
-        finish(
-            ax,
-            words(names[i]),
-            "frame" if is_last else "",
-            "degrees" if i % n_columns == 0 else "",
-            small=True,
-        )
-    if not names:
-        axes[0].set_visible(True)
-        empty(axes[0], "no joint angles")
-    return png(figure)
 
 
 def _row_statistic(errors: Array, statistic: Any) -> Array:

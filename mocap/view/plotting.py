@@ -80,12 +80,6 @@ def empty(ax: Any, text: str) -> None:
     ax.set_yticks([])
 
 
-def line_style(i: int) -> dict[str, str]:
-    """Colour and stroke of the i-th line: strokes differ when the colours are used up."""
-    styles = LINE_STYLES[(i // len(LINE_COLOURS)) % len(LINE_STYLES)]
-    return {"color": LINE_COLOURS[i % len(LINE_COLOURS)], "ls": styles}
-
-
 def hex_colour(colour: Colour) -> str:
     """`#rrggbb` of a colour."""
     return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -130,6 +130,7 @@ class ReportData:
     per_landmark_mm: Mapping[str, float | None] | None = None
     timings: Mapping[str, tuple[float, float | None]] = field(default_factory=dict)
     figures: tuple[Figure, ...] = ()
+    charts: tuple[tuple[Section, Chart], ...] = ()
     frames: tuple[FramePanel, ...] = ()
     outputs: tuple[tuple[str, str], ...] = ()
     command: str = ""
@@ -213,7 +214,7 @@ def _page(data: ReportData, panels: Sequence[FramePanel], width: int, quality: i
         PageSection("tracks", "Paths", _figures(data, "tracks") or faint("No map of the paths was made.")),
         PageSection("timing", "Timing", _timing_section(data), is_folded=True),
     ]
-    if any(f.section == "other" for f in data.figures):
+    if _figures(data, "other"):
         sections.append(PageSection("more", "More plots", _figures(data, "other"), is_folded=True))
     sections.append(PageSection("settings", "Settings", _settings_section(data), is_folded=True))
     sections.append(PageSection("versions", "Versions", _versions_section(data.versions), is_folded=True))
@@ -431,7 +432,9 @@ def _versions_section(versions: Mapping[str, str]) -> str:
 
 
 def _figures(data: ReportData, section: Section) -> str:
-    return figures_html(f for f in data.figures if f.section == section)
+    """Curves, then pictures of a section."""
+    own = [chart for of, chart in data.charts if of == section]
+    return (charts_html(own) if own else "") + figures_html(f for f in data.figures if f.section == section)
 
 
 def _jpeg(image: Image, width: int, quality: int) -> bytes:

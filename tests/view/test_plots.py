@@ -7,19 +7,12 @@ import sys
 
 import cv2
 import numpy as np
-import pytest
 import view_world as world
 
 from mocap.data import LANDMARKS, Tracks
 from mocap.view.plots import (
-    FilterHealth,
     plot_error_over_time,
-    plot_filter_health,
-    plot_foreground_share,
-    plot_joint_angles,
     plot_landmark_errors,
-    plot_mask_quality,
-    plot_stage_timing,
     plot_track_map,
 )
 
@@ -69,28 +62,8 @@ def test_track_map_with_and_without_paths():
     decoded(plot_track_map(world.rig(), None))
 
 
-def test_other_plots():
-    frames = np.arange(T)
-    decoded(plot_stage_timing({"carve": 3.0, "pose": 80.0, "report": float("nan")}))
-    decoded(plot_stage_timing({}))
-    decoded(plot_foreground_share(frames, {"a": np.full(T, 0.1), "b": np.full(T, 0.2)}))
-    decoded(plot_foreground_share(frames, {}))
-    quality = {"a": {"flicker": 0.02, "leakage": 0.0, "residual": None}, "b": {"flicker": 0.3}}
-    assert plot_mask_quality(quality) != plot_mask_quality({"a": {}, "b": {}})
-    decoded(plot_mask_quality({}))
-    health = FilterHealth(1, frames, np.full(T, 0.5), None, -np.arange(T, dtype=float))
-    decoded(plot_filter_health([health, FilterHealth(2, frames)]))
-    decoded(plot_filter_health([]))
-    names = ["waist", "left_knee", "right_knee", "right_hip"]
-    decoded(plot_joint_angles(frames, np.full((T, 4), 0.3), names))
-    decoded(plot_joint_angles(frames, np.full((T, 4), np.nan), names))
-    decoded(plot_joint_angles(frames, np.zeros((T, 0)), []))
-    with pytest.raises(ValueError, match="angles_rad"):
-        plot_joint_angles(frames, np.zeros((T, 3)), names)
-
-
 def test_same_data_gives_the_same_bytes():
-    assert plot_stage_timing({"a": 1.0, "b": 2.0}) == plot_stage_timing({"a": 1.0, "b": 2.0})
+    assert plot_landmark_errors({"head": 1.0}) == plot_landmark_errors({"head": 1.0})
 
 
 def test_matplotlib_and_rerun_are_imported_only_when_needed():
@@ -99,7 +72,7 @@ def test_matplotlib_and_rerun_are_imported_only_when_needed():
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
-    code = "import sys; from mocap.view import plot_stage_timing as plot; plot({'a': 1.0}); "
+    code = "import sys; from mocap.view import plot_landmark_errors as plot; plot({'head': 1.0}); "
     code += "print('matplotlib.pyplot' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "False"
