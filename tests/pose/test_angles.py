@@ -56,6 +56,34 @@ def test_a_body_has_the_angles_that_its_joints_allow() -> None:
     assert angles_of_states(dog, np.zeros((2, dog.layout.n_columns))).shape == (2, len(body_angles(dog)))
 
 
+@pytest.mark.parametrize(
+    ("column", "turn", "angle", "value"),
+    [
+        ("left_ankle_y", -0.2, "left_ankle_dorsiflexion", 0.2),  # toes up
+        ("right_ankle_y", -0.2, "right_ankle_dorsiflexion", 0.2),
+        ("right_ankle_x", 0.2, "right_ankle_inversion", 0.2),  # the sole to the left
+        (
+            "left_wrist_x",
+            -0.2,
+            "left_wrist_flexion",
+            0.2,
+        ),  # of an arm to the side: the palm, which is below, down
+        ("right_wrist_x", 0.2, "right_wrist_flexion", 0.2),
+        ("left_wrist_z", 0.2, "left_wrist_deviation", 0.2),  # of an arm to the side: the hand to the back
+        ("right_wrist_z", -0.2, "right_wrist_deviation", 0.2),
+    ],
+)
+def test_feet_and_hands_have_angles_where_they_move(
+    column: str, turn: float, angle: str, value: float
+) -> None:
+    body = scale_body(load_body_model("whole"), 1.75)
+    states = np.tile(neutral_state(body), (2, 1))
+    states[1, body.layout.names.index(column)] += turn
+    at = body_angles(body).index(angle)
+    found = angles_of_states(body, states)[:, at]
+    assert found[1] - found[0] == pytest.approx(value, abs=1e-6)
+
+
 def test_deviations_are_those_of_poses_whose_landmarks_scatter() -> None:
     """A bent leg: landmarks are shaken, the body is fitted to them, and the angles scatter as was claimed."""
     state = posed(left_hip_y=-0.7, left_knee_y=1.1, right_hip_y=-0.4, right_knee_y=0.8)
