@@ -66,6 +66,22 @@ def test_a_foot_lands_on_the_heel_and_leaves_with_the_toe(seed: int) -> None:
                 assert at - before[-1] >= 3
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_toes_stay_where_they_are_while_the_heels_rise(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    figure = make_figure(rng.uniform(1.5, 1.95), "male", 1.0, rng=rng)
+    pose = MOTIONS["squat"](figure, T, FPS, rng=rng, position=(0.3, -0.2), heading_rad=0.7)
+    where = forward_kinematics(figure.offsets, pose.rotations, pose.root_position)
+    xyz = feet_and_hands_of(figure, *where)
+    toes, heels = xyz[:, [1, 4]], xyz[:, [0, 3], 2]
+    assert np.linalg.norm(toes - toes[0], axis=2).max() < MOST_SLIP_M
+    assert heels.max() > 0.04 * figure.stature_m
+    assert heels.min() > -MOST_SLIP_M
+    pelvis = where[0][:, 0, 2]
+    assert pelvis.min() < 0.8 * pelvis[0]
+    assert pelvis.max() > pelvis[0] + 0.02
+
+
 def person(n_frames: int = 4) -> FeetAndHands:
     rng = np.random.default_rng(3)
     xyz = rng.uniform(0, 2, (n_frames, len(FURTHER_LANDMARKS), 3))

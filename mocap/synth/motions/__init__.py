@@ -18,6 +18,7 @@ from mocap.synth.motions.kit import Path, Pose
 from mocap.synth.motions.pick_up import pick_up
 from mocap.synth.motions.route import Stop, route
 from mocap.synth.motions.sit import sit
+from mocap.synth.motions.squat import squat
 from mocap.synth.motions.stand import stand
 from mocap.synth.motions.throw import throw
 from mocap.synth.motions.walk import walk
@@ -25,6 +26,7 @@ from mocap.synth.motions.walk import walk
 MOTIONS: dict[str, Callable[..., Pose]] = {
     "walk": walk,
     "stand": stand,
+    "squat": squat,
     "gesture": gesture,
     "box": box,
     "pick_up": pick_up,
