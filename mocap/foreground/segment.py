@@ -31,7 +31,7 @@ _NOISIER = 1.25  # from which on the thresholds rise
 _NOISE_STEP = 0.1  # a smaller change of the noise leaves the thresholds
 _LEAST_SAMPLES = 100
 _BLOCK_PX = 5
-_COLOUR_SHARE = 1.0
+_COLOUR_EVERY = 64  # pictures; it takes as long as two of them
 # A lamp, flicker in bands and daylight change the light of a large part of the picture; a person does not.
 _LIGHT_CELL_PX = (80, 32)
 _LIGHT_STEPS_PX = (16, 6)
@@ -322,7 +322,7 @@ class Segmenter:
         times = times if _NOISIER < times < _MOST_NOISE else 1.0
         if abs(times - self._times_noise) > _NOISE_STEP * self._times_noise:
             self._set_noise(times)
-        if self._n_seen % _ADAPT_ROWS == 0:
+        if self._n_seen % _COLOUR_EVERY == 0:
             self._colour_noise = self._colour_noise_of(rows)
 
     def _colour_noise_of(self, rows: Bytes) -> float:
@@ -417,9 +417,7 @@ class Segmenter:
             brightest=s.shadow_brightest,
             chroma_pixel=max(s.shadow_chroma_pixel, 4.0 * self._noise, 3.0 * self._colour_noise),
             chroma=s.shadow_chroma,
-            least_chroma=max(
-                s.shadow_chroma_least, 2.5 * self._noise * 2**0.5 / side, _COLOUR_SHARE * self._colour_noise
-            ),
+            least_chroma=max(s.shadow_chroma_least, 2.5 * self._noise * 2**0.5 / side, self._colour_noise),
             edge=s.shadow_edge,
             noise=_EDGE_NOISE * self._noise,
         )
