@@ -310,6 +310,7 @@ def test_everything_about_a_camera_is_in_the_key(session: Session, field: str, k
         "R": turned,
         "t": np.ones(3),
         "is_fisheye": True,
+        "filmed_size": (288, 240),
     }
     changed = CameraRig((replace(session.rig["left"], **{field: values[field]}), session.rig["right"]))
     before, after = (stage_keys(s, Config(), 0, kind) for s in (session, replace(session, rig=changed)))
