@@ -346,18 +346,14 @@ def test_the_gradient_knows_that_cones_taper(coarse_flesh: Flesh) -> None:
 
 
 def test_slopes_at_pixels_are_those_of_the_blurred_picture() -> None:
-    """Against OpenCV's blur of the whole picture and central differences, away from its border."""
+    """Against OpenCV's blur and slopes of the whole picture, at its border too."""
     picture = np.zeros((60, 80), dtype=np.uint8)
-    cv2.ellipse(picture, (40, 30), (22, 12), 25.0, 0.0, 360.0, 1, -1)
-    rows, columns = np.mgrid[12:48:3, 12:68:4]
+    cv2.ellipse(picture, (40, 40), (22, 32), 25.0, 0.0, 360.0, 1, -1)
+    rows, columns = np.mgrid[1:60:3, 1:80:4]
     at = np.column_stack([columns.ravel(), rows.ravel()]).astype(np.int64)
     found = kernels.slopes_at(picture, at, *outlines_module._SOFT_SLOPE)
-    soft = cv2.GaussianBlur(picture.astype(np.float64), (0, 0), outlines_module._SOFT_PX)
-    down, right = np.gradient(soft)
+    soft = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), outlines_module._SOFT_PX)
+    right, down = cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)
     expected = np.column_stack([right[at[:, 1], at[:, 0]], down[at[:, 1], at[:, 0]]])
-    steep = np.linalg.norm(expected, axis=1) > 0.02
-    assert steep.sum() > 40
-    np.testing.assert_allclose(found, expected, atol=0.01)
-    found, expected = found[steep], expected[steep]
-    cosine = (found * expected).sum(axis=1) / np.linalg.norm(found, axis=1) / np.linalg.norm(expected, axis=1)
-    assert cosine.min() > 0.999
+    assert np.abs(expected).max() > 1.0
+    np.testing.assert_allclose(found, expected, atol=1e-5)

@@ -88,21 +88,28 @@ def nearest_of_labels(labels, inside):
 
 
 @njit(cache=True, nogil=True)
+def mirrored(i, n):
+    """An index into n pixels, of which the first and the last are mirrors."""
+    i = abs(i)
+    return max(i if i < n else 2 * n - 2 - i, 0)
+
+
+@njit(cache=True, nogil=True)
 def slopes_at(picture, at, blur, slope):
     """How a blurred picture (H, W) rises to the right and downwards at some pixels (M, 2), column and row: (M, 2).
 
-    blur, slope : (2 n + 1,) weights of the neighbours in a row. Beyond its border the picture goes on as it ends.
+    blur, slope : (2 n + 1,) weights of the neighbours in a row. Beyond its border the picture is mirrored.
     """
     reach = blur.shape[0] // 2
     height, width = picture.shape
     rises = np.zeros((at.shape[0], 2))
     for i in range(at.shape[0]):
         for b in range(-reach, reach + 1):
-            row = min(max(at[i, 1] + b, 0), height - 1)
+            row = mirrored(at[i, 1] + b, height)
             blurred = 0.0
             sloped = 0.0
             for a in range(-reach, reach + 1):
-                value = picture[row, min(max(at[i, 0] + a, 0), width - 1)]
+                value = picture[row, mirrored(at[i, 0] + a, width)]
                 blurred += blur[reach + a] * value
                 sloped += slope[reach + a] * value
             rises[i, 0] += blur[reach + b] * sloped

@@ -39,16 +39,17 @@ _EDGE_KERNEL = np.ones(
     (17, 17), dtype=np.uint8
 )  # the edge of what hides people is known to two cells of 4 px
 _SOFT_PX = 2.0  # standard deviation of the blur under which an outline has a direction
-_LEAST_SLOPE = 1e-4  # per pixel
+_LEAST_SLOPE = 1e-3  # of eight pixels, as Sobel counts
 _NEAR_PX = 9  # how far from the projected hull an outline may still be the person's
 
 
 def _soft_slope(std_px: float) -> tuple[Array, Array]:
-    """Weights of neighbours, from left to right, that blur a row of pixels, and those that give the blurred slope."""
+    """Weights of neighbours that blur a row of pixels, and those that give the slope of the blurred row: a Gaussian
+    and Sobel's masks upon it."""
     reach = np.arange(-round(4 * std_px), round(4 * std_px) + 1)
     weight = np.exp(-0.5 * (reach / std_px) ** 2)
     weight /= weight.sum()
-    return weight, weight * reach / std_px**2
+    return np.convolve(weight, [1.0, 2.0, 1.0]), np.convolve(weight, [1.0, 0.0, -1.0])[::-1].copy()
 
 
 _SOFT_SLOPE = _soft_slope(_SOFT_PX)
