@@ -272,7 +272,7 @@ figure{margin:0}.shot figcaption{font-size:13.5px;color:var(--faint);padding:3px
 .stage{display:grid;grid-template-columns:minmax(0,3fr) minmax(0,2fr);gap:12px;align-items:start}
 canvas.scene{display:block;width:100%;aspect-ratio:4/3;border:1px solid var(--line);border-radius:6px;
 touch-action:none;cursor:grab}
-.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(130px,1fr));gap:6px}
+.tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(105px,1fr));gap:6px}
 .tiles figure{min-width:0}.tiles canvas{display:block;width:100%;height:auto;border-radius:4px;background:#0002}
 .tiles figcaption{font-size:12.5px;color:var(--faint);overflow-wrap:anywhere}
 .transport{display:flex;flex-wrap:wrap;align-items:center;gap:8px;margin:10px 0 0}

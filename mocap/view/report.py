@@ -39,7 +39,7 @@ from mocap.view.replay import Replay, replay_html
 
 Image = NDArray[np.uint8]
 
-MAX_BYTES = 6_000_000
+MAX_BYTES = 5_000_000
 
 # (width px, JPEG quality) of the pictures; the first that keeps the file below its limit is used
 _PICTURE_SIZES = ((640, 85), (560, 82), (480, 78), (400, 72), (320, 66), (240, 60), (160, 50))
