@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.segmentation import DEVELOPMENT, ROOT, View, sessions, views
+from eval.segmentation import ROOT, TEST, View, sessions, views
 from eval.whole import write_csv
 from mocap.foreground import ForegroundSettings, Segmenter
 from mocap.io.session import open_session
@@ -127,7 +127,7 @@ def main(argv: list[str] | None = None) -> int:
     cv2.setNumThreads(1)
     rows: list[dict[str, Any]] = []
     for name, folder in sessions(set(options.only.split(",")) if options.only else SESSIONS, options.work):
-        part = "development" if name in DEVELOPMENT else "test"
+        part = "test" if name in TEST else "development"
         for condition, numbers in evaluate(folder, options.step).items():
             rounded = {key: round(value, 4) for key, value in numbers.items()}
             rows.append({"session": name, "part": part, "condition": condition} | rounded)

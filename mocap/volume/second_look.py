@@ -19,6 +19,7 @@ from mocap.volume.surface import surface_voxels
 
 Mask = NDArray[np.bool_]
 Array = NDArray[np.float64]
+Voxels = NDArray[np.int32]
 
 # With five cameras hulls that forgive two of them are so fat that shadows fall inside (room: IoU 0.952 to 0.948).
 LEAST_CAMERAS = 6
@@ -42,13 +43,15 @@ class SecondLook:
         self._carver = Carver(rig, grid)
         floor = _floor_of(grid)
         self._floor = [_Places(camera, floor, pixels_of_points(camera, floor)) for camera in rig]
+        self._before_floor = [places.drawn(grid.voxel_size_m) for places in self._floor]
 
     def masks(self, masks: Sequence[Mask], shadows: Sequence[Mask]) -> list[Mask]:
         """The masks of one instant, with what turned out to be no shadow.
 
         masks, shadows : (H, W) bool per camera, apart from each other. A shadow becomes foreground inside the volume
-        that all cameras but one see as person or shadow, and more than half as person; not where it lies on the
-        floor, which is so where as many other cameras see shadow as see the empty floor.
+        that all cameras but one see as person or shadow, and more than half as person; before a wall, where no floor
+        tells, that all see so. Not where it lies on the floor, which is so where as many other cameras see shadow as
+        see the empty floor.
         """
         person = self._drawn_person(masks, shadows)
         floor = self._drawn_shadow(masks, shadows)
@@ -68,6 +71,20 @@ class SecondLook:
         high = self._grid.centers(voxels)[:, 2] > _FLOOR_M
         keep = high & (against <= (len(masks) - 1) // 2)
         voxels, pixels = voxels[keep], pixels[keep]
+        # Before a wall nobody says whether a shadow lies there: then no camera may speak against the person.
+        clear = np.zeros(len(voxels), dtype=np.int64)
+        for c, mask in enumerate(either):
+            clear += (pixels[:, c] >= 0) & ~mask.ravel()[pixels[:, c]]
+        sure = self._drawn(voxels[clear == 0], pixels[clear == 0])
+        return [
+            some & (floor | all_agree)
+            for some, floor, all_agree in zip(
+                self._drawn(voxels, pixels), self._before_floor, sure, strict=True
+            )
+        ]
+
+    def _drawn(self, voxels: Voxels, pixels: NDArray[np.int32]) -> list[Mask]:
+        """A volume as each camera would see it, without the rim.  pixels : (N, C) of its voxels."""
         outer = surface_voxels(voxels, self._grid)
         points, pixels = self._grid.centers(voxels[outer]), pixels[outer]
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM_PX + 1,) * 2)
