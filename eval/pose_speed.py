@@ -130,6 +130,8 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def main() -> None:
+    from mocap.pipeline.warm_up import warm_up
+
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--only", default=",".join(CASES), help="cases, separated by commas")
     parser.add_argument("--frames", type=int, default=60)
@@ -139,6 +141,7 @@ def main() -> None:
     arguments = parser.parse_args()
     threads = [int(word) for word in arguments.threads.split(",") if word]
     n_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    warm_up()
     rows = []
     for name in arguments.only.split(","):
         case = CASES[name]
