@@ -6,14 +6,16 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from mocap.body import landmarks_of, load_body_model, scale_body
+from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.initial import HeightEstimate
 from mocap.data.motion import ALL_LANDMARKS, FURTHER_LANDMARKS
 from mocap.io.formats import write_c3d
 from mocap.pipeline.outputs import foot_events
 from mocap.pose.contacts import SOLE_POINTS, contacts_of, held, lowest_level, slips_m, unbroken_runs
-from mocap.pose.method import ContactSettings
+from mocap.pose.deviation import FrameSeries
+from mocap.pose.method import ContactSettings, Method
 from mocap.pose.result import PersonPoses, motion_of
+from mocap.pose.smooth import smooth_motion
 from mocap.pose.steps import check_floor, gait_numbers, gait_of, warnings_of_gait
 from mocap.synth.figure import (
     feet_and_hands_of,
@@ -228,3 +230,39 @@ def test_strikes_and_offs_are_events_of_a_c3d_file(tmp_path: FilePath) -> None:
     strikes = [s.strike + 30 for s in gait_of(poses, FPS, SETTINGS).stances if s.strike is not None]
     told = [event.time_s * FPS for event in events if event.label == "Foot Strike"]
     np.testing.assert_allclose(sorted(told), sorted(strikes))
+
+
+# ------------------------------------------------------------------------------------------------------- smoother
+
+
+def standing_series(n: int, sway_m: float) -> FrameSeries:
+    """Somebody who stands; the whole body, soles too, is found swaying slowly."""
+    body = scale_body(load_body_model("whole"), 1.75)
+    states = np.tile(neutral_state(body), (n, 1))
+    states[:, 0] += sway_m * np.sin(2 * np.pi * np.arange(n) / 24.0)
+    D, M = states.shape[1], len(body.landmarks)
+    zeros = np.zeros(n)
+    return FrameSeries(
+        states=states,
+        information=np.zeros((n, D, D)),
+        spread=np.zeros((n, M, 3, 3)),
+        misfit=np.ones((n, body.layout.n_parts)),
+        unexplained=zeros,
+        blind_std=zeros,
+        hidden_std=np.zeros((n, M)),
+    )
+
+
+def test_the_smoother_holds_a_planted_foot_and_lets_the_trunk_sway() -> None:
+    body, n = scale_body(load_body_model("whole"), 1.75), 60
+    series = standing_series(n, sway_m=0.012)
+    moved = {}
+    for hold in (0.0, 30.0):
+        method = replace(Method(), contact=ContactSettings(hold=hold))
+        landmarks = landmarks_of(body, smooth_motion(body, series, FPS, 8, method))
+        moved[hold] = np.ptp(landmarks[..., 0], axis=0)
+    free, held_on = moved[0.0], moved[30.0]
+    assert free[SOLE].min() > 0.015
+    assert held_on[SOLE].max() < 0.4 * free[SOLE].min()
+    neck = ALL_LANDMARKS.index("neck")
+    assert held_on[neck] > 0.8 * free[neck]
