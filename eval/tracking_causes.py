@@ -1,11 +1,11 @@
-"""Why three orders of CF Table 4.3 fail here, and CF Figures 4.7 and 4.12, on hulls made by hand.
+"""Whether lag makes three orders of CF Table 4.3 fail, and CF Figures 4.7 and 4.12, on hulls made by hand.
 
     python -m eval.tracking_causes [--seeds 1] [--only worlds surface crossing]
 
 - worlds (eval/results/tracking_causes.csv): the trackers as published on two persons, ellipsoids in clothes of one
   colour each, who walk past each other 1.2 m apart. `walk`: at 1 m/s and 15 frames/s, as in the scenes of the table.
   `slow`: every frame is shown four times, so that persons move a quarter as far from step to step, as they do who
-  mostly sit. `table`: a table's edge along each path is solid in the hull, as when it was moved after the empty one.
+  mostly sit.
 - surface (tracking_surface.csv): CF Figure 4.7, how far the mean of a random share of the surface's or the interior's
   voxels lies from the centroid; an ellipsoid of 30 x 30 x 100 cm, voxels of 2 cm.
 - crossing (tracking_crossing.csv): CF Figure 4.12, the two persons nearer to each other; in how many of ten runs
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,12 +41,10 @@ METHODS = (
     *(Method("sparse", 800, colour, settings="published") for colour in (False, True)),
     *(Method("particle", 100, colour, settings="published") for colour in (False, True)),
 )
-# World -> voxel sizes: only the question about voxels needs more than one.
-WORLDS = {"walk": (5, 2), "slow": (5, 2), "table": (5,), "table, slow": (5,)}
+WORLDS = ("walk", "slow")
+VOXEL_CM = (5, 2)
 _APART_M = 1.2
-_TABLES = tuple([[-2.1, low, 0.0], [2.1, low + 0.2, 0.75]] for low in (0.8, -1.0))
 FIELDS = ("world", "voxel_cm", "method", "mota_percent", "motp_mm", "false_positives_percent", "runs")
-_WOOD = (140, 95, 60)
 SEMI_AXES_M = (0.3, 0.3, 1.0)  # of CF Figure 4.7
 SHARES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _N_DRAWS = 400
@@ -74,40 +72,17 @@ def slowed(clip: H.HullClip, times: int) -> H.HullClip:
     )
 
 
-def with_boxes(clip: H.HullClip, boxes: Iterable[Sequence[Sequence[float]]]) -> H.HullClip:
-    """Solid boxes (lower, upper) m of the colour of wood in every hull."""
-    grid = clip.hulls[0].grid
-    centers = grid.centers(np.arange(grid.n_voxels, dtype=np.int32))
-    inside = np.zeros(grid.n_voxels, dtype=np.bool_)
-    for lower, upper in boxes:
-        inside |= np.all((centers >= lower) & (centers <= upper), axis=1)
-    solid = np.flatnonzero(inside).astype(np.int32)
-    return replace(clip, hulls=tuple(_with_voxels(hull, solid) for hull in clip.hulls))
-
-
-def _with_voxels(hull: Hull, solid: NDArray[np.int32]) -> Hull:
-    voxels = np.union1d(hull.voxels, solid).astype(np.int32)
-    own = np.searchsorted(voxels, hull.voxels)
-    surface = surface_voxels(voxels, hull.grid)
-    rgb = np.tile(np.array(_WOOD, dtype=np.uint8), (len(voxels), 1))
-    n_views = surface.astype(np.uint8)
-    rgb[own], n_views[own] = hull.rgb, hull.n_views
-    return Hull(hull.grid, voxels, surface, n_views, rgb)
-
-
 def in_world(world: str, voxel_cm: int) -> H.HullClip:
     """The walk of two persons in one of WORLDS."""
     clip = crossing_clip(_APART_M, voxel_cm / 100)
-    if "table" in world:
-        clip = with_boxes(clip, _TABLES)
-    return slowed(clip, TIMES_SLOWER) if "slow" in world else clip
+    return slowed(clip, TIMES_SLOWER) if world == "slow" else clip
 
 
 def world_lines(seeds: int) -> list[dict[str, Any]]:
     """Scores of every world, voxel size and method."""
     lines = []
-    for world, sizes in WORLDS.items():
-        for cm in sizes:
+    for world in WORLDS:
+        for cm in VOXEL_CM:
             clip = in_world(world, cm)
             seen, _ = observations(clip)
             for method in METHODS:

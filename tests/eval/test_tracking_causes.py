@@ -7,8 +7,7 @@ import pytest
 
 from eval import tracking_page
 from eval.tracking.hulls import HullClip
-from eval.tracking_causes import CLOTHES, crossing_clip, slowed, surface_lines, with_boxes
-from mocap.volume import surface_voxels
+from eval.tracking_causes import CLOTHES, crossing_clip, slowed, surface_lines
 
 
 def small() -> HullClip:
@@ -28,18 +27,6 @@ def test_a_slow_film_shows_every_frame_again() -> None:
             slow.truth.xyz[slow.truth.frame == frame], clip.truth.xyz[clip.truth.frame == frame // 4]
         )
     np.testing.assert_allclose(slow.truth.time_s, slow.truth.frame / slow.fps)
-
-
-def test_boxes_join_the_hull_and_leave_the_persons_their_colours() -> None:
-    clip = small()
-    before, after = clip.hulls[0], with_boxes(clip, [[[-0.3, -0.9, 0.0], [0.3, -0.5, 0.8]]]).hulls[0]
-    added = np.setdiff1d(after.voxels, before.voxels)
-    centers = after.grid.centers(added)
-    assert len(added) > 50
-    assert np.all((centers >= [-0.3, -0.9, 0.0]) & (centers <= [0.3, -0.5, 0.8]))
-    own = np.searchsorted(after.voxels, before.voxels)
-    np.testing.assert_array_equal(after.rgb[own], before.rgb)
-    np.testing.assert_array_equal(after.is_surface, surface_voxels(after.voxels, after.grid))
 
 
 def test_two_persons_cross_and_wear_their_own_colours() -> None:
@@ -64,6 +51,6 @@ def test_the_surface_needs_more_voxels_than_the_interior(monkeypatch: pytest.Mon
 
 
 def test_the_sections_are_made_of_the_committed_files() -> None:
-    text = "\n".join([*tracking_page.crossing(), *tracking_page.share_of_voxels()])
-    for words in ("CF Figure 4.12", "CF Figure 4.7", "| SS-Color |"):
+    text = "\n".join([*tracking_page.causes(), *tracking_page.crossing(), *tracking_page.share_of_voxels()])
+    for words in ("slow, 2 cm", "CF Figure 4.12", "CF Figure 4.7", "| SS-Color |"):
         assert words in text
