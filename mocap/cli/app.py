@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli import calibrate, cluster, compare, live, run, synth, tools
+from mocap.cli import calibrate, cluster, compare, live, run, sync, synth, tools
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
 from mocap.portable import Stopped, find_kernel_cache, stoppable
@@ -35,6 +35,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "convert-calibration": tools.convert_calibration,
     "board": calibrate.board,
     "calibrate": calibrate.calibrate,
+    "sync": sync.sync,
     "view": tools.view,
     "report": tools.report,
     "warm-up": tools.warm_up,

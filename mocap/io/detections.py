@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mocap.data.camera import CameraRig
 from mocap.data.detections import Detections
 from mocap.errors import MocapError
+from mocap.io.clip_frames import ClipFrames, shown_rows
 from mocap.io.tables import read_detections_csv, read_marker_labels_csv, write_detections_csv
 
 Array = NDArray[np.float64]
@@ -17,10 +18,13 @@ Array = NDArray[np.float64]
 LABELS_FILE = "marker_labels.csv"
 
 
-def read_detections(sources: dict[str, Path], rig: CameraRig, frames: range) -> Detections:
+def read_detections(
+    sources: dict[str, Path], rig: CameraRig, frames: range, clip_frames: ClipFrames | None = None
+) -> Detections:
     """The detections of a rig in some frames; a camera without a file has none.
 
-    sources : camera name -> CSV file with the columns frame, u_px, v_px.
+    sources : camera name -> CSV file with the columns frame, u_px, v_px.  clip_frames : camera name -> the picture of
+    its clip that shows each frame of the session; None = picture k shows frame k.
     Raises MocapError for an unreadable table and for a detection outside its picture.
     """
     frame, uv = [], []
@@ -44,9 +48,9 @@ def read_detections(sources: dict[str, Path], rig: CameraRig, frames: range) -> 
                 remedy="check that detections and calibration are of the same resolution, in pixels from the upper "
                 "left corner",
             )
-        keep = (f >= frames.start) & (f < frames.stop)
-        frame.append(f[keep])
-        uv.append(pixels[keep])
+        shown, rows = shown_rows(f, frames, (clip_frames or {}).get(camera.name))
+        frame.append(shown)
+        uv.append(pixels[rows])
     return Detections(rig.names, tuple(frame), tuple(uv))
 
 

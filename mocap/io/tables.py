@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +26,7 @@ UNCERTAINTY_COLUMNS = ("std_x_m", "std_y_m", "std_z_m", "observed")
 DETECTION_COLUMNS = ("frame", "u_px", "v_px")
 WORLD_POINT_COLUMNS = ("camera", "u_px", "v_px", "x_m", "y_m", "z_m")
 LABEL_COLUMNS = ("frame", "camera", "u_px", "v_px")
+TIMESTAMP_COLUMNS = ("cam_id", "frame_time")
 
 # Frames of a thousand years at 30 per second: what goes beyond is no count.
 MOST_WHOLE = 10**12
@@ -291,6 +292,36 @@ def read_world_points_csv(path: Path | str) -> dict[str, tuple[NDArray[np.float6
         found.setdefault(row["camera"].strip(), []).append(numbers)
     both = {camera: np.array(rows) for camera, rows in found.items()}
     return {camera: (rows[:, 2:].copy(), rows[:, :2].copy()) for camera, rows in both.items()}
+
+
+def read_timestamps_csv(path: Path | str) -> dict[str, NDArray[np.float64]]:
+    """Read when the pictures of a recording were taken: camera -> (n,) s on one clock, ascending, a row per picture.
+
+    The table `cam_id,frame_time` of Caliscope and other recorders; rows of different cameras may stand in any order.
+    Raises MocapError as the other readers do, and for times that do not ascend.
+    """
+    path = Path(path)
+    found: dict[str, list[float]] = {}
+    for line, row in rows_of(path, TIMESTAMP_COLUMNS):
+        time = _number(path, line, row, "frame_time")
+        times = found.setdefault(row["cam_id"].strip(), [])
+        if times and time <= times[-1]:
+            raise _bad(
+                path, line, f"the time {time:g} does not come after {times[-1]:g} of the picture before"
+            )
+        times.append(time)
+    if not found:
+        raise MocapError(
+            "there are no time stamps in the file", path=path, remedy="record it again, or take it away"
+        )
+    return {camera: np.array(times) for camera, times in found.items()}
+
+
+def write_timestamps_csv(path: Path | str, times: Mapping[str, NDArray[np.floating]]) -> None:
+    """Write when the pictures were taken, camera -> (n,) s, as `cam_id,frame_time`."""
+    lines = [",".join(TIMESTAMP_COLUMNS)]
+    lines += [f"{camera},{_text(t)}" for camera, of_camera in times.items() for t in of_camera]
+    atomic_text(Path(path), "\n".join(lines) + "\n")
 
 
 def write_detections_csv(path: Path | str, frame: NDArray[np.integer], uv: NDArray[np.floating]) -> None:

@@ -26,6 +26,7 @@ from mocap.errors import MocapError
 from mocap.files import array_names, load_arrays, read_head
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
 from mocap.io._picture_header import size_in_header
+from mocap.io.clip_frames import ClipFrames
 
 # The same for OpenCV's own warnings about files that it cannot open.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
@@ -161,10 +162,12 @@ class _Reader(ABC, Generic[Picture]):
         rig: CameraRig,
         frames: Sequence[int],
         *,
+        clip_frames: ClipFrames | None = None,
         n_workers: int | None = None,
     ) -> None:
         _check_order(sources, rig, frames)
         self.frames = frames
+        self._clip_frames = [(clip_frames or {}).get(n) for n in rig.names]
         self._names = rig.names
         self._cameras = list(rig)
         self._sources = [Path(sources[n]) for n in rig.names]
@@ -216,8 +219,9 @@ class _Reader(ABC, Generic[Picture]):
 class FrameReader(_Reader[Image]):
     """Reads the pictures of all cameras frame by frame: iterate for (frame, tuple of (H, W, 3) uint8 RGB).
 
-    sources : camera name -> video, picture folder or single picture.  frames : indices, counted from 0 in
-    every source.  n_workers : decoding threads (the result does not depend on it).
+    sources : camera name -> video, picture folder or single picture.  frames : of the session.  clip_frames : camera
+    name -> the picture of its source, counted from 0, that shows each frame; None = picture k shows frame k.
+    n_workers : decoding threads (the result does not depend on it).
     Raises MocapError with camera and frame for a picture that cannot be read or has another size than the
     calibration.
     """
@@ -285,11 +289,11 @@ class _Worker(Generic[Picture]):
         return False
 
     def _work(self) -> None:
-        clips: list[_Clip[Picture]] = []
+        clips: list[_OnClock[Picture]] = []
         camera = self.group[0]
         try:
             for camera in self.group:
-                clips.append(self._reader._open(camera))
+                clips.append(_OnClock(self._reader._open(camera), self._reader._clip_frames[camera]))
             for frame in self._reader.frames:
                 pictures = []
                 for camera, clip in zip(self.group, clips, strict=True):
@@ -299,7 +303,7 @@ class _Worker(Generic[Picture]):
                             "the clip ends here although more frames were expected",
                             path=self._reader._sources[camera],
                             camera=self._reader._names[camera],
-                            frame=frame,
+                            frame=clip.place(frame),
                             remedy=_REMEDY_CUT,
                         )
                     pictures.append(in_size_of(self._reader._cameras[camera], picture))
@@ -335,6 +339,28 @@ class _Clip(Protocol[Picture_co]):
     def read(self, frame: int) -> Picture_co | None: ...
 
     def close(self) -> None: ...
+
+
+class _OnClock(Generic[Picture]):
+    """A clip that is read by frames of the session; a picture may show several of them."""
+
+    def __init__(self, clip: _Clip[Picture], clip_frames: NDArray[np.int64] | None) -> None:
+        self._clip, self._clip_frames = clip, clip_frames
+        self._at = -1
+        self._picture: Picture | None = None
+
+    def place(self, frame: int) -> int:
+        """The picture of the clip that shows a frame."""
+        return frame if self._clip_frames is None else int(self._clip_frames[frame])
+
+    def read(self, frame: int) -> Picture | None:
+        place = self.place(frame)
+        if place != self._at:
+            self._at, self._picture = place, self._clip.read(place)
+        return self._picture
+
+    def close(self) -> None:
+        self._clip.close()
 
 
 def _open_images(path: Path, camera: str, size: Size | None) -> _Clip[Image]:
@@ -625,6 +651,24 @@ def _video_info(path: Path, camera: str, stamp: tuple[int, int]) -> ClipInfo:
     if n_frames == 0:
         raise _empty(path, camera)
     return ClipInfo(path, n_frames, size, fps, header if header > 0 else None)
+
+
+def times_in_container(path: Path) -> NDArray[np.float64] | None:
+    """When the pictures of a video are to be shown, (n,) s from the first on, as its container says.
+
+    None for anything but a video, and for containers without time stamps that ascend.
+    """
+    if path.is_dir() or path.suffix.lower() not in VIDEO_SUFFIXES:
+        return None
+    capture = _open_capture(path, "")
+    stamps = []
+    try:
+        while capture.grab():
+            stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+    finally:
+        capture.release()
+    times = np.array(stamps) - stamps[0] if stamps else np.zeros(0)
+    return times if len(times) > 1 and bool(np.all(np.diff(times) > 0)) else None
 
 
 def _can_decode(capture: cv2.VideoCapture, frame: int) -> bool:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import Any
 
-from mocap.arrays import Image, Mask
+from mocap.arrays import Mask
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.foreground import (
@@ -24,6 +24,7 @@ from mocap.foreground import (
     unfitted,
 )
 from mocap.io.session import Session
+from mocap.io.session.reading import clip_of
 from mocap.io.video import iter_camera
 from mocap.pipeline.config import SegmentationConfig
 from mocap.volume import Witness, choose_grid
@@ -105,7 +106,7 @@ def _of_clip(camera: Camera, session: Session) -> Fit:
     n = min(len(session.frames), round(_FIT_S * session.fps))
     pictures: list[Image] = []
     if camera.name in session.image_sources and n >= _FIT_PICTURES:
-        pictures = list(islice(_clip(camera, session), 0, n, n // _FIT_PICTURES))
+        pictures = list(islice(clip_of(session, camera), 0, n, n // _FIT_PICTURES))
     return fit_background(background, pictures) if pictures else unfitted(background)
 
 
@@ -137,9 +138,9 @@ def _fit_warnings(name: str, fit: Fit, session: Session, *, is_used: bool) -> li
 def _of_one_camera(camera: Camera, session: Session, config: SegmentationConfig, source: str) -> Background:
     _check_frames(camera, session)
     if source == "first":
-        return learn_background(islice(_clip(camera, session), config.first_frames))
+        return learn_background(islice(clip_of(session, camera), config.first_frames))
     stride = max(1, len(session.frames) // config.median_frames)
-    return median_background(islice(_clip(camera, session), 0, None, stride))
+    return median_background(islice(clip_of(session, camera), 0, None, stride))
 
 
 def _of_recording(
@@ -149,7 +150,7 @@ def _of_recording(
     rig = session.rig
     for camera in rig:
         _check_frames(camera, session)
-    keys: list[KeyPictures] = list(each(lambda camera: key_pictures(_clip(camera, session)), rig))
+    keys: list[KeyPictures] = list(each(lambda camera: key_pictures(clip_of(session, camera)), rig))
     small = CameraRig(tuple(camera.reduced(reduction_of(camera.size[0])) for camera in rig))
     witness = Witness(small, choose_grid(small, _VOXEL_M, bounds_m=session.room_bounds_m))
     regions = witness.regions([key.is_active for key in keys])
@@ -165,14 +166,8 @@ def _of_recording(
         for cut, again in zip(cuts, each(refine_mask, pictures, *zip(*guesses, strict=True)), strict=True):
             cut[k] = again
     wanted = [(camera, cut) for camera, cut in zip(rig, cuts, strict=True) if camera.name in names]
-    learnt = each(lambda pair: background_of_recording(_clip(pair[0], session), pair[1]), wanted)
+    learnt = each(lambda pair: background_of_recording(clip_of(session, pair[0]), pair[1]), wanted)
     return {camera.name: background for (camera, _), background in zip(wanted, learnt, strict=True)}
-
-
-def _clip(camera: Camera, session: Session) -> Iterator[Image]:
-    """The pictures of the frames of the session."""
-    clip = iter_camera(session.image_sources[camera.name], camera)
-    return islice(clip, session.frames.start, session.frames.stop)
 
 
 def _check_frames(camera: Camera, session: Session) -> None:

@@ -82,7 +82,7 @@ def _read(path: Path | None) -> dict[str, _Entry]:
 
 
 def input_hash(session: Session, hashes: FileHashes) -> str:
-    """Hash of frame range, cameras and the whole content of the files that a session is made of."""
+    """Hash of frame range, clocks, cameras and the whole content of the files that a session is made of."""
     digest = hashlib.sha256()
     digest.update(repr((session.frames.start, session.frames.stop)).encode())
     for camera in session.rig:
@@ -90,6 +90,8 @@ def input_hash(session: Session, hashes: FileHashes) -> str:
             value = getattr(camera, field.name)
             digest.update(f"{field.name} ".encode())
             digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+    for name, places in session.clip_frames.items():
+        digest.update(f"clip_frames {name} ".encode() + places[session.frames.start :].tobytes())
     for name, file in input_files(session):
         digest.update(f"{name} {os.fsencode(file.name)!r} {hashes.of(file)} ".encode())
     return digest.hexdigest()[:16]

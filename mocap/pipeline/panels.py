@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Camera, Hull
-from mocap.io.video import FrameReader
+from mocap.io.session.reading import pictures_of
 from mocap.pipeline.config import OutputConfig
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import body_parts, rows_at
@@ -118,7 +118,7 @@ def images_of(
         grey = tuple(np.full((c.size[1], c.size[0], 3), 90, dtype=np.uint8) for c in session.rig)
         yield from ((frame, grey) for frame in numbers)
         return
-    with FrameReader(session.image_sources, session.rig, numbers) as reader:
+    with pictures_of(session, numbers) as reader:
         yield from reader
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, cones_of
-from mocap.io.video import FrameReader
+from mocap.io.session.reading import pictures_of
 from mocap.pipeline.record import Found
 from mocap.pose.result import PersonPoses
 from mocap.products.hulls import PRODUCT, hull_at, stored_grid
@@ -88,9 +88,7 @@ def scene_frames(found: Found, kept: Sequence[str] | None = None) -> Iterator[Sc
         pictures = hull_of = None
         names = tuple(name for name in session.rig.names if kept is None or name in kept)
         if session.image_sources and names:
-            sources = {name: session.image_sources[name] for name in names}
-            reader = FrameReader(sources, session.rig.subset(names), frames)
-            pictures = iter(stack.enter_context(reader))
+            pictures = iter(stack.enter_context(pictures_of(session, frames, names)))
         if found.hulls is not None:
             hull_of = partial(hull_at, found.hulls.reader(PRODUCT))
         for frame in frames:

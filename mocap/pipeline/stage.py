@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from mocap.data import Hull
 from mocap.io.session import Session
 from mocap.io.store import StageStore, StageWriter
-from mocap.io.video import FrameReader
 from mocap.pipeline.config import Config
 from mocap.progress import Progress, no_progress
 
@@ -151,8 +150,3 @@ class Stage:
 def is_done(stage: Stage, store: StageStore, key: str) -> bool:
     """Whether every product of the stage is complete under this very key."""
     return all(store.is_complete(product, key) for product in stage.products)
-
-
-def pictures_of(session: Session) -> FrameReader:
-    """The pictures of all cameras, frame by frame."""
-    return FrameReader(session.image_sources, session.rig, session.frames)

@@ -10,6 +10,7 @@ import numpy as np
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.keypoints import Figures, joined
 from mocap.errors import MocapError
+from mocap.io.clip_frames import ClipFrames, shown_rows
 from mocap.io.keypoints.clip import CameraKeypoints
 from mocap.io.keypoints.json_files import frames_of, json_pictures, read_coco_results, read_openpose_folder
 from mocap.io.keypoints.table import read_table
@@ -36,9 +37,13 @@ def count_frames(path: Path) -> int:
     return read_camera(path).n_frames
 
 
-def read_keypoints(sources: Mapping[str, Path], rig: CameraRig, frames: range) -> dict[int, Figures]:
+def read_keypoints(
+    sources: Mapping[str, Path], rig: CameraRig, frames: range, clip_frames: ClipFrames | None = None
+) -> dict[int, Figures]:
     """Figures of all cameras by frame, for every frame that was asked for; a camera without a source has none.
 
+    clip_frames : camera name -> the picture of its clip that shows each frame of the session; None = picture k shows
+    frame k.
     Raises MocapError for an unreadable file, and for keypoints that do not fit the camera's picture.
     """
     found: dict[int, list[Figures]] = {frame: [] for frame in frames}
@@ -47,11 +52,14 @@ def read_keypoints(sources: Mapping[str, Path], rig: CameraRig, frames: range) -
             continue
         clip = read_camera(sources[camera.name])
         _check_inside(clip, camera)
-        for frame, figures in clip.of_frame.items():
-            if frame in found and figures:
+        pictures = np.array(sorted(clip.of_frame), dtype=np.int64)
+        for frame, row in zip(
+            *shown_rows(pictures, frames, (clip_frames or {}).get(camera.name)), strict=True
+        ):
+            if figures := clip.of_frame[int(pictures[row])]:
                 points = np.stack(figures)
                 uv, confidence = points[..., :2].copy(), np.nan_to_num(points[..., 2])
-                found[frame].append(Figures(uv, confidence, np.full(len(points), c, dtype=np.int64)))
+                found[int(frame)].append(Figures(uv, confidence, np.full(len(points), c, dtype=np.int64)))
     return {frame: joined(figures) for frame, figures in found.items()}
 
 

@@ -12,7 +12,7 @@ from mocap.errors import MocapError
 from mocap.io._files import VIDEO_SUFFIXES
 from mocap.io.calibration import calibration_candidates, read_calibration
 from mocap.io.checkerboard import BoardMeasure, Views, find_boards, measure_board
-from mocap.io.keypoints import read_keypoints
+from mocap.io.session.reading import keypoints_of
 from mocap.io.session.record import Finding, Session
 from mocap.io.session.sources import sources_in
 from mocap.io.video import clip_info, list_pictures, promised_size, size_error
@@ -212,7 +212,7 @@ def keypoints(session: Session) -> list[Finding]:
     if not session.keypoint_sources:
         return []
     try:
-        figures = read_keypoints(session.keypoint_sources, session.rig, session.frames)
+        figures = keypoints_of(session)
     except MocapError as error:
         return [Finding("error", error.message, error.camera, error.remedy)]
     counts = np.zeros((len(session.frames), len(session.rig)), dtype=np.int64)

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.io.calibration import CalibrationFile
 from mocap.io.keypoints import count_frames
+from mocap.io.session.timeline import Timeline
 from mocap.io.tables import read_detections_csv
 from mocap.io.video import ClipInfo, size_error
 
@@ -16,6 +20,9 @@ DEFAULT_FPS = 30.0
 # Headers of sound videos promise a few frames more than can be decoded; more than that means a damaged file.
 MAX_HEADER_DIFFERENCE = 5
 MAX_HEADER_DIFFERENCE_SHARE = 0.01
+_MOST_LONGER = (
+    2.0  # frames by which clips of different rates end apart though they were started and stopped together
+)
 
 
 def rig_with_true_sizes(rig: CameraRig, found: CalibrationFile, clips: Mapping[str, ClipInfo]) -> CameraRig:
@@ -67,6 +74,39 @@ def choose_frames(
     return range(start or 0, last)
 
 
+def frames_of_timeline(root: Path, clocks: Timeline, wanted: tuple[int | None, int | None] | None) -> range:
+    """The frames that all cameras show at their times, or the wanted part of them.
+
+    Raises MocapError for a range outside of them.
+    """
+    start, stop = wanted or (None, None)
+    chosen = range(clocks.first if start is None else start, clocks.stop if stop is None else stop)
+    if not clocks.first <= chosen.start < chosen.stop <= clocks.stop:
+        text = f"{'' if start is None else start}:{'' if stop is None else stop}"
+        raise MocapError(
+            f"the frame range {text} is empty or goes beyond what all clips show",
+            path=root,
+            remedy=f"choose it within `--frames {clocks.first}:{clocks.stop}`",
+        )
+    return chosen
+
+
+def check_durations(
+    root: Path, clips: Mapping[str, ClipInfo], times: Mapping[str, NDArray[np.float64]]
+) -> None:
+    """MocapError when clips of different rates, of which nobody said when they began, are not equally long."""
+    last = {name: float(t[-1]) for name, t in times.items()}
+    shortest, longest = min(last, key=last.__getitem__), max(last, key=last.__getitem__)
+    if last[longest] - last[shortest] > _MOST_LONGER / min(c.fps or DEFAULT_FPS for c in clips.values()):
+        raise MocapError(
+            f"the clip is {last[shortest]:.2f} s long, that of {longest} {last[longest]:.2f} s; were they started "
+            "together?",
+            path=root,
+            camera=shortest,
+            remedy="let `mocap sync` find when each began, or say it in session.toml: [offset_s]",
+        )
+
+
 def _counts(clips: Mapping[str, ClipInfo], detections: Mapping[str, Path]) -> dict[str, int]:
     """Frames by clip; where there are only detections, as many as the longest table of them has."""
     if clips:
@@ -84,7 +124,8 @@ def _check_equal(root: Path, counts: Mapping[str, int]) -> None:
             f"the clips have different numbers of frames ({pairs}); were they started together?",
             path=root,
             camera=min(counts, key=counts.__getitem__),
-            remedy=f"if they are synchronised from the first frame on, say so with `--frames 0:{shortest}`",
+            remedy=f"if they are synchronised from the first frame on, say so with `--frames 0:{shortest}`; if not, "
+            "let `mocap sync` find when each began",
         )
 
 
@@ -139,4 +180,7 @@ def choose_fps(fps: float | None, clips: Mapping[str, ClipInfo]) -> tuple[float,
     if max(values) - min(values) <= 1e-3 * most:
         return most, []
     pairs = ", ".join(f"{n}: {v:g}" for n, v in rates.items())
-    return most, [f"the videos have different frame rates ({pairs}): {most:g} is used (session.toml: fps)"]
+    return most, [
+        f"the videos have different frame rates ({pairs}): {most:g} is used, each frame with every camera's picture "
+        "nearest in time (session.toml: fps, [clip_fps])"
+    ]

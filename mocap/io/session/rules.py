@@ -10,11 +10,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mocap.data import CameraRig
 from mocap.errors import MocapError
 from mocap.io.calibration import CalibrationFile, find_calibration, read_calibration
 from mocap.io.session import check
-from mocap.io.session.frames import check_clip_size, choose_fps, choose_frames, rig_with_true_sizes
+from mocap.io.session.frames import (
+    check_clip_size,
+    check_durations,
+    choose_fps,
+    choose_frames,
+    frames_of_timeline,
+    rig_with_true_sizes,
+)
 from mocap.io.session.record import Finding, Session
 from mocap.io.session.settings import SessionSettings, bad_key, read_session_settings
 from mocap.io.session.sources import (
@@ -24,6 +34,7 @@ from mocap.io.session.sources import (
     match_sources,
     wanted_cameras,
 )
+from mocap.io.session.timeline import TIMESTAMPS_FILE, clip_times, timeline
 from mocap.io.video import ClipInfo, clip_info
 
 Frames = tuple[int | None, int | None]
@@ -47,6 +58,7 @@ class Opening:
     clips: dict[str, ClipInfo] = field(init=False)
     counted: dict[str, ClipInfo] = field(init=False)
     frames: range = field(init=False)
+    clip_frames: dict[str, NDArray[np.int64]] = field(default_factory=dict)
     fps: float = field(init=False)
 
 
@@ -127,18 +139,26 @@ def _sizes(o: Opening) -> list[Finding]:
     return []
 
 
-def _frames(o: Opening) -> list[Finding]:
-    """All clips have the frames that are wanted."""
-    wanted = o.wanted_frames if o.wanted_frames is not None else o.settings.frames
-    found = {**_of(o.rig, o.sources.detections), **_of(o.rig, o.sources.keypoints)}
-    o.frames = choose_frames(o.root, o.counted, found, wanted)
-    return []
-
-
 def _frame_rate(o: Opening) -> list[Finding]:
-    """One frame rate holds for all clips."""
+    """One frame rate holds for the session."""
     o.fps, warnings = choose_fps(o.settings.fps, o.clips)
     return [Finding("warning", text) for text in warnings]
+
+
+def _frames(o: Opening) -> list[Finding]:
+    """All clips have the frames that are wanted, each at its time."""
+    wanted = o.wanted_frames if o.wanted_frames is not None else o.settings.frames
+    times = clip_times(o.root, o.settings, o.clips, o.fps)
+    if times is None:
+        found = {**_of(o.rig, o.sources.detections), **_of(o.rig, o.sources.keypoints)}
+        o.frames = choose_frames(o.root, o.counted, found, wanted)
+        return []
+    if o.settings.offset_s is None and not (o.root / TIMESTAMPS_FILE).exists():
+        check_durations(o.root, o.clips, times)
+    clocks = timeline(o.root, times, o.fps)
+    o.frames = frames_of_timeline(o.root, clocks, wanted)
+    o.clip_frames = {name: places[: o.frames.stop] for name, places in clocks.clip_frames.items()}
+    return []
 
 
 OPENING: tuple[Callable[[Opening], list[Finding]], ...] = (
@@ -149,8 +169,8 @@ OPENING: tuple[Callable[[Opening], list[Finding]], ...] = (
     _cameras,
     _additions,
     _sizes,
-    _frames,
     _frame_rate,
+    _frames,
 )
 CHECKING: tuple[Callable[[Session], list[Finding]], ...] = (
     check.calibration,
@@ -206,7 +226,37 @@ def open_session(
         keypoint_sources=_of(o.rig, o.sources.keypoints),
         roi_sources=_of(o.rig, o.sources.roi),
         roi_px=_of(o.rig, o.settings.roi_px or {}),
+        clip_frames=o.clip_frames,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedClips:
+    """A session folder before anything is said of its clocks: clips may differ in length and rate.
+
+    clips : camera -> what was counted of its pictures (else masks).  fps : of the session.
+    """
+
+    root: Path
+    rig: CameraRig
+    settings: SessionSettings
+    clips: dict[str, ClipInfo]
+    images: dict[str, Path]
+    masks: dict[str, Path]
+    background: dict[str, Path]
+    fps: float
+
+
+def open_clips(root: Path | str, *, calibration: Path | str | None = None) -> OpenedClips:
+    """Open a session folder up to the question which of its pictures belong together.
+
+    Raises MocapError as `open_session` does, but for what concerns frames.
+    """
+    o = Opening(Path(root), None if calibration is None else Path(calibration))
+    for rule in OPENING[: OPENING.index(_frames)]:
+        rule(o)
+    background = _of(o.rig, o.sources.background)
+    return OpenedClips(o.root, o.rig, o.settings, o.clips, o.images, o.masks, background, o.fps)
 
 
 def check_session(session: Session) -> list[Finding]:

@@ -15,6 +15,9 @@ from mocap.io.units import AXES, UNITS, unit_from_word
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 Polygon = tuple[tuple[float, float], ...]
 
+# Clips that begin further apart are not of one recording.
+MOST_OFFSET_S = 3600.0
+
 _COLOURS = {
     "white": (255, 255, 255),
     "red": (255, 0, 0),
@@ -43,6 +46,8 @@ class SessionSettings:
     checkerboard: tuple[int, int] | None = None
     checkerboard_square_m: float | None = None
     roi_px: Mapping[str, Polygon] | None = None
+    offset_s: Mapping[str, float] | None = None
+    clip_fps: Mapping[str, float] | None = None
 
 
 def read_session_settings(path: Path | str) -> SessionSettings:
@@ -51,7 +56,8 @@ def read_session_settings(path: Path | str) -> SessionSettings:
     Keys: fps, frames = [start, stop], room_bounds_m = [[x, y, z], [x, y, z]], person_height_m, marker_colour =
     "red" | "#rrggbb" | [r, g, b], cameras = ["camera name", ...] (the others are left out), calibration_units,
     calibration_up, checkerboard = [columns, rows] (inner corners), checkerboard_square_m, and the tables
-    [camera_map] file name = "camera name" and [roi_px] camera name = [[u, v], ...] (corners of a polygon).
+    [camera_map] file name = "camera name", [roi_px] camera name = [[u, v], ...] (corners of a polygon), [offset_s]
+    camera name = seconds after the start of the session at which its clip begins, and [clip_fps] camera name = rate.
     Raises MocapError naming the key for anything else.
     """
     path = Path(path)
@@ -77,6 +83,8 @@ def read_session_settings(path: Path | str) -> SessionSettings:
         checkerboard=_board(path, document),
         checkerboard_square_m=_positive(path, document, "checkerboard_square_m"),
         roi_px=_polygons(path, document),
+        offset_s=_by_camera(path, document, "offset_s", -MOST_OFFSET_S, MOST_OFFSET_S),
+        clip_fps=_by_camera(path, document, "clip_fps", 0.1, 10_000),
     )
 
 
@@ -103,6 +111,21 @@ def _positive(
         limits = f" between {low:g} and {high:g}" if low > 0 else " above 0"
         raise bad_key(path, key, f"is {value!r}, expected a number{limits}")
     return float(value)
+
+
+def _by_camera(
+    path: Path, document: dict[str, Any], key: str, low: float, high: float
+) -> dict[str, float] | None:
+    """A number for each of some cameras."""
+    value = document.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise bad_key(path, key, f"is no table, expected [{key}] camera = number")
+    for name, number in value.items():
+        if not _is_number(number) or not low <= number <= high:
+            raise bad_key(path, f"{key}.{name}", f"is {number!r}, expected a number from {low:g} to {high:g}")
+    return {name: float(number) for name, number in value.items()}
 
 
 def _frame_pair(path: Path, document: dict[str, Any]) -> tuple[int | None, int | None] | None:

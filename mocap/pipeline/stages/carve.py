@@ -13,6 +13,7 @@ from mocap.data.voxels import Voxels
 from mocap.errors import MocapError
 from mocap.foreground.pixels import sample_silhouettes
 from mocap.io.session import Session
+from mocap.io.session.reading import pictures_of
 from mocap.io.store import StageReader
 from mocap.pipeline.config import Config
 from mocap.pipeline.stage import (
@@ -24,7 +25,6 @@ from mocap.pipeline.stage import (
     Sources,
     Stage,
     StageReport,
-    pictures_of,
 )
 from mocap.products.hulls import PRODUCT, hull_attrs, hull_row, stored_faults, stored_grid
 from mocap.products.masks import read_masks
@@ -47,8 +47,8 @@ _MIN_CAMERAS = 3
 _AROUND_M = 0.9  # how far from a hull the unknown is of interest: the length of a hidden leg
 _REMEDIES = {
     "moved": "calibrate it again from that frame on, or leave these frames out",
-    "lag": "shift its clip by that many frames",
-    "rate": "record all cameras at one rate, or resample its clip",
+    "lag": "find when its clip began with `mocap sync SESSION`",
+    "rate": "find how fast its clock runs with `mocap sync SESSION`",
     "frozen": "leave these frames out with --frames",
     "black": "leave these frames out with --frames",
     "blind": "look at its silhouettes in the report",

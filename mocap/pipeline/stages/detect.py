@@ -16,9 +16,9 @@ from mocap.foreground.marker_detector import (
     detect_markers,
     learn_marker_colour,
 )
-from mocap.io.detections import LABELS_FILE, read_detections, read_marker_labels
+from mocap.io.detections import LABELS_FILE, read_marker_labels
 from mocap.io.session import Session
-from mocap.io.video import FrameReader
+from mocap.io.session.reading import detections_of, pictures_of
 from mocap.pipeline.config import MarkersConfig
 from mocap.pipeline.stage import (
     Ending,
@@ -29,7 +29,6 @@ from mocap.pipeline.stage import (
     Sources,
     Stage,
     StageReport,
-    pictures_of,
 )
 from mocap.products.detections import PRODUCT, detection_row
 
@@ -55,7 +54,7 @@ def _start(job: Job) -> _Detecting:
         mahalanobis=config.mahalanobis, min_area_px=config.min_area_px, max_area_px=config.max_area_px
     )
     if session.detection_sources:
-        given = read_detections(session.detection_sources, session.rig, session.frames)
+        given = detections_of(session)
         return _Detecting(settings, given=given)
     if not session.image_sources:
         raise MocapError(
@@ -97,7 +96,8 @@ def _learnt_colour(session: Session, config: MarkersConfig) -> MarkerColour:
     path = labels_path(session)
     labels = read_marker_labels(path, session.rig)
     frames = sorted({int(f) for frame, _ in labels.values() for f in frame})
-    n_frames = min(clip.n_frames for clip in session.clips.values())
+    # On clocks of their own the clips are known up to the last frame that is worked on.
+    n_frames = session.frames.stop if session.clip_frames else min(c.n_frames for c in session.clips.values())
     images, points = [], []
     for frame in frames:
         if frame >= n_frames:
@@ -107,7 +107,7 @@ def _learnt_colour(session: Session, config: MarkersConfig) -> MarkerColour:
                 frame=frame,
                 remedy="label a frame of these clips",
             )
-        with FrameReader(session.image_sources, session.rig, range(frame, frame + 1)) as reader:
+        with pictures_of(session, range(frame, frame + 1)) as reader:
             _, pictures = next(iter(reader))
         for camera, picture in zip(session.rig, pictures, strict=True):
             if camera.name in labels:

@@ -6,7 +6,7 @@ import numpy as np
 
 from mocap.data.camera import CameraRig
 from mocap.data.keypoints import Figures
-from mocap.io.keypoints import read_keypoints
+from mocap.io.session.reading import keypoints_of
 from mocap.likelihood.markers import MarkerViews, marker_views, undistort
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.products.keypoints import PRODUCT, keypoint_row, persons_in
@@ -23,7 +23,7 @@ def keypoint_stage(job: Job) -> None:
     It needs the whole clip: who is there too briefly is nobody.
     """
     session, views = job.session, marker_views(job.session.rig)
-    read = read_keypoints(session.keypoint_sources, session.rig, session.frames)
+    read = keypoints_of(session)
     figures = {frame: undistorted(read[frame], session.rig) for frame in session.frames}
     settings = FigureSettings()
     persons = persons_of_figures(figures, figure_views(views), session.fps, settings)

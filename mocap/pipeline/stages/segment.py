@@ -21,8 +21,9 @@ from mocap.foreground import (
 )
 from mocap.foreground.quality import Triple
 from mocap.io.session import Session
+from mocap.io.session.reading import masks_of, pictures_of
 from mocap.io.store import StageStore
-from mocap.io.video import MaskReader, in_size_of, iter_clip
+from mocap.io.video import in_size_of, iter_clip
 from mocap.pipeline.backgrounds import learn_backgrounds
 from mocap.pipeline.stage import (
     Ending,
@@ -33,7 +34,6 @@ from mocap.pipeline.stage import (
     Sources,
     Stage,
     StageReport,
-    pictures_of,
 )
 from mocap.products.masks import PRODUCT, mask_row, masks_from_arrays
 from mocap.volume import SecondLook, choose_grid
@@ -60,7 +60,7 @@ class _Segmenting:
 def _reads(job: Job) -> Sources:
     session = job.session
     if session.mask_sources:
-        return {"masks": MaskReader(session.mask_sources, session.rig, session.frames)}
+        return {"masks": masks_of(session)}
     return {"pictures": pictures_of(session)}
 
 

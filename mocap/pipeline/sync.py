@@ -1,0 +1,204 @@
+"""Clocks of a session: when each clip began is found from the people in it, and written to session.toml."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import CameraRig
+from mocap.errors import MocapError
+from mocap.foreground import Segmenter, learn_background, median_background
+from mocap.io._files import atomic_text, writing
+from mocap.io.session import OpenedClips, open_clips, read_session_settings
+from mocap.io.session.timeline import TIMESTAMPS_FILE, own_times
+from mocap.io.tables import write_timestamps_csv
+from mocap.io.video import MaskReader, iter_clip, times_in_container
+from mocap.progress import Progress, no_progress
+from mocap.threads import in_parallel
+from mocap.volume.synchrony import Silhouettes, Synchrony, SynchronySettings, silhouette_hull, synchronise
+
+if TYPE_CHECKING:
+    from mocap.view.clock_curves import ClockCurve
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_IRREGULAR = 0.5  # of a frame: time stamps further from an even rate are those of a clip of varying rate
+_TABLES = ("offset_s", "clip_fps")
+_HEADER = re.compile(r"^\s*\[")
+
+
+@dataclass(frozen=True, eq=False)
+class SessionClocks:
+    """The clocks that were found.
+
+    fps : of the session.  own_times : camera -> (n,) s of its pictures on its own clock.  has_varying_rate : those
+    whose containers say that their pictures do not follow at one rate.
+    """
+
+    found: Synchrony
+    fps: float
+    own_times: dict[str, Array]
+    has_varying_rate: tuple[str, ...]
+
+    @property
+    def off(self) -> tuple[str, ...]:
+        """Cameras whose clock differs from the reference's."""
+        return tuple(name for name, clock in self.found.clocks.items() if clock.is_off)
+
+    def rate_of(self, name: str) -> float:
+        """Pictures per second of the session."""
+        times = self.own_times[name]
+        own = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else self.fps
+        return own / (1 + self.found.clocks[name].drift)
+
+
+def find_clocks(
+    session: Path | str,
+    *,
+    calibration: Path | str | None = None,
+    max_lag_s: float = SynchronySettings.max_lag_s,
+    n_threads: int | None = None,
+    progress: Progress = no_progress,
+) -> SessionClocks:
+    """When the clips of a session began, and how fast their clocks run, from the silhouettes of people who move.
+
+    The clips may differ in length and rate; what session.toml says of clocks is not looked at.  max_lag_s : largest lag
+    that is looked for.  n_threads : None = up to 2; the result does not depend on it.
+    Raises MocapError for a session that cannot be opened, and when nobody moves where two cameras see it.
+    Source: Sinha and Pollefeys 2004.
+    """
+    clips = open_clips(session, calibration=calibration)
+    times, varying = _own_times(clips)
+    done = iter(range(len(clips.rig)))
+
+    def seen(name: str) -> Silhouettes:
+        hulls = [silhouette_hull(mask) for mask in _masks(clips, name)]
+        progress("silhouettes", next(done) + 1, len(clips.rig))
+        n = min(len(hulls), len(times[name]))
+        return Silhouettes(times[name][:n], hulls[:n])
+
+    silhouettes = in_parallel(seen, clips.rig.names, n_threads or min(2, os.cpu_count() or 1))
+    found = synchronise(clips.rig, silhouettes, SynchronySettings(max_lag_s=max_lag_s))
+    unsure = [name for name, clock in found.clocks.items() if not clock.is_certain]
+    if len(unsure) == len(clips.rig):
+        raise MocapError(
+            "no clock can be told: nobody moves where two cameras see it",
+            path=clips.root,
+            remedy="film somebody who walks through the room, or write [offset_s] into session.toml by hand",
+        )
+    return SessionClocks(found, clips.fps, times, varying)
+
+
+def write_clocks(session: Path | str, clocks: SessionClocks) -> tuple[Path, ...]:
+    """Write what was found to session.toml, which every stage goes by, and time stamps of clips of varying rate.
+
+    Tables [offset_s] and [clip_fps] of an earlier time are replaced, everything else stays as it is. Returns what was
+    written; nothing is, when all clocks agree and no table has to go.
+    """
+    root = Path(session)
+    written = []
+    if clocks.has_varying_rate:
+        write_timestamps_csv(root / TIMESTAMPS_FILE, clocks.own_times)
+        written.append(root / TIMESTAMPS_FILE)
+    path = root / "session.toml"
+    before = path.read_text(encoding="utf-8") if path.exists() else ""
+    after = _without(before, _TABLES)
+    if clocks.off:
+        after = (after.rstrip() + "\n\n" if after.strip() else "") + _tables(clocks)
+    if after != before:
+        atomic_text(path, after)
+        read_session_settings(path)
+        written.append(path)
+    return tuple(written)
+
+
+def write_picture(path: Path, clocks: SessionClocks) -> None:
+    """Write a PNG: what each camera whose clock is off saw of its clearest plane, beside the other of that pair."""
+    from mocap.view.clock_curves import plot_clocks
+
+    with writing(path):
+        path.write_bytes(plot_clocks([_clearest(clocks, name) for name in clocks.off]))
+
+
+def _clearest(clocks: SessionClocks, name: str) -> ClockCurve:
+    """The pair of curves of a camera that vary most, for as much of the time as is seen."""
+    from mocap.view.clock_curves import ClockCurve
+
+    names = tuple(clocks.found.clocks)
+    c = names.index(name)
+    mine = [(a, b) if a.camera == c else (b, a) for a, b in clocks.found.pairs if c in (a.camera, b.camera)]
+    both = max(mine, key=lambda pair: min(np.isfinite(x.metres).sum() * np.nanstd(x.metres) for x in pair))
+    found = [clocks.found.clocks[names[curve.camera]] for curve in both]
+    return ClockCurve(
+        names=(name, names[both[1].camera]),
+        times_s=(both[0].times_s, both[1].times_s),
+        on_clock_s=(found[0].on_clock(both[0].times_s), found[1].on_clock(both[1].times_s)),
+        metres=(both[0].metres, both[1].metres),
+        said=f"moved by {found[0].offset_s:+.3f} s",
+    )
+
+
+def _tables(clocks: SessionClocks) -> str:
+    reference = clocks.found.reference
+    lines = [
+        f"[offset_s]  # when each clip begins, on the clock of {reference}; found by `mocap sync`",
+        *(f'"{name}" = {clocks.found.clocks[name].offset_s:.4f}' for name in clocks.off),
+    ]
+    drifting = [name for name in clocks.off if clocks.found.clocks[name].drift]
+    if drifting and not clocks.has_varying_rate:
+        lines += ["", f"[clip_fps]  # pictures per second on the clock of {reference}"]
+        lines += [f'"{name}" = {clocks.rate_of(name):.6f}' for name in clocks.found.clocks]
+    return "\n".join(lines) + "\n"
+
+
+def _without(text: str, tables: Iterable[str]) -> str:
+    """A TOML document without some of its tables; comments elsewhere stay."""
+    kept, is_kept = [], True
+    for line in text.splitlines(keepends=True):
+        if _HEADER.match(line):
+            is_kept = line.split("]")[0].strip(" \t[") not in tables
+        if is_kept:
+            kept.append(line)
+    return "".join(kept)
+
+
+def _own_times(clips: OpenedClips) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Times of all pictures on their cameras' own clocks, and the cameras of varying rate."""
+    rates = {name: clip.fps for name, clip in clips.clips.items() if clip.fps is not None}
+    if clips.settings.fps is not None:
+        rates = {}
+    times = own_times(clips.root, clips.clips, rates, clips.fps)
+    even = times or {name: np.arange(clip.n_frames) / clips.fps for name, clip in clips.clips.items()}
+    if (clips.root / TIMESTAMPS_FILE).exists():
+        return even, ()
+    varying = []
+    for name, clip in clips.clips.items():
+        stamps = times_in_container(clip.path)
+        if stamps is not None and np.abs(stamps - even[name][: len(stamps)]).max() * clips.fps > _IRREGULAR:
+            even[name] = stamps
+            varying.append(name)
+    return even, tuple(varying)
+
+
+def _masks(clips: OpenedClips, name: str) -> Iterator[Mask]:
+    """The foreground of one camera's whole clip."""
+    camera = clips.rig[name]
+    if name in clips.masks:
+        with MaskReader(clips.masks, CameraRig((camera,)), range(clips.clips[name].n_frames)) as reader:
+            yield from (masks[0] for _, masks in reader)
+        return
+    if name in clips.background:
+        background = learn_background(iter_clip(clips.background[name], size=camera.size, camera=name))
+    else:
+        background = median_background(iter_clip(clips.images[name], size=camera.size, camera=name))
+    segmenter = Segmenter(background)
+    for picture in iter_clip(clips.images[name], size=camera.size, camera=name):
+        yield segmenter.segment(picture).mask

@@ -1,0 +1,48 @@
+"""A picture that proves clocks: what two cameras see of one plane, as filmed and on the clock that was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.view.plotting import empty, finish, line_style, new_figure, png
+
+Array = NDArray[np.float64]
+
+_MOST_SHOWN = 8
+
+
+class ClockCurve(NamedTuple):
+    """A curve of a camera and of another one that stands in for all others.
+
+    names : of the camera and the other.  times_s : their times as filmed.  on_clock_s : the same, corrected.
+    metres : what they see.  said : in words, how the camera's clock is off.
+    """
+
+    names: tuple[str, str]
+    times_s: tuple[Array, Array]
+    on_clock_s: tuple[Array, Array]
+    metres: tuple[Array, Array]
+    said: str
+
+
+def plot_clocks(curves: Sequence[ClockCurve]) -> bytes:
+    """PNG: one row per camera, as filmed on the left, corrected on the right."""
+    shown = curves[:_MOST_SHOWN]
+    figure, axes = new_figure(max(1, len(shown)), height=1.9, width=11.0, n_columns=2)
+    if not shown:
+        for ax in axes:
+            empty(ax, "all clocks agree")
+    for row, curve in enumerate(shown):
+        for column, (times, title) in enumerate(
+            ((curve.times_s, f"{curve.names[0]}: as filmed"), (curve.on_clock_s, curve.said))
+        ):
+            ax = axes[2 * row + column]
+            for i, (name, t, metres) in enumerate(zip(curve.names, times, curve.metres, strict=True)):
+                ax.plot(t, metres - np.nanmedian(metres), label=name, lw=1.3, **line_style(i))
+            is_last = row == len(shown) - 1
+            finish(ax, title, "time, s" if is_last else "", "tangent, m", legend=column == 1, small=True)
+    return png(figure)

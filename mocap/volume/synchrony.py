@@ -1,0 +1,428 @@
+"""When cameras were started, and how fast their clocks run, told from silhouettes of people who move.
+
+The planes through the centres of two cameras are a pencil about the line between them, and the two outermost planes
+that touch the people are the same for both cameras: each sees them as epipolar tangents of its silhouettes. The angles
+of these planes are curves over time that both cameras draw, each on its own clock, without a correspondence, a volume
+or a body. Clocks are right when the curves of all pairs lie on each other.
+After Sinha and Pollefeys, "Synchronization and calibration of camera networks from silhouettes" (ICPR 2004).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from mocap.data import Camera, CameraRig
+
+Array = NDArray[np.float64]
+
+_EDGE_PX = 3.0  # a silhouette that reaches so near to the border of the picture is cut off there
+_LEAST_SHARE = 0.1  # of the area of the largest region; smaller ones are no person
+_LEAST_AREA = 2e-4  # of the picture
+_SWEEPS = 3  # over all cameras, each against all others
+_DONE_S = 1e-6  # a step that moves clocks by less is the last
+_NO_DRIFT = 1e-9
+_RIDGE = 1e-3  # settles clocks that nothing is said about; the information of one clear curve is 1e4 and more
+_WIDEST_RAD = 1.2  # people who stand so near to the line between two cameras have no tangents of use
+
+
+@dataclass(frozen=True)
+class SynchronySettings:
+    """Numbers of the search; chosen on the development sessions of `python -m eval.synchrony`.
+
+    step_s : between the lags that are tried first.  max_lag_s : the largest of them.  least_overlap_s : that two clips
+    must have at a lag.  far_m : curves that lie further apart count as this far.  smooth_frames : standard deviation of
+    the Gaussian that smooths a curve.  drift : standard deviation of the speed of clocks before anything is seen.
+    n_blocks : of time, that deviations are told from.  systematic_s : what all blocks have in common, which does not
+    show in them: outlines are rough, most of all where bodies are thin.  certain : deviations that a lag must be away
+    from zero, and harmless_s : seconds that it must exceed, to count as one.  least_motion_m : by which curves must
+    vary to tell anything.
+    """
+
+    step_s: float = 1 / 60
+    max_lag_s: float = 10.0
+    least_overlap_s: float = 1.5
+    far_m: float = 0.08
+    smooth_frames: float = 1.0
+    drift: float = 2e-4
+    n_blocks: int = 8
+    systematic_s: float = 0.0008
+    certain: float = 4.0
+    harmless_s: float = 0.003
+    least_motion_m: float = 0.02
+    n_steps: int = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Silhouettes:
+    """What one camera saw of the people.
+
+    times_s : (n,) of its pictures on its own clock.  hulls : (P, 2) px, corners of the convex hull of the silhouettes,
+    empty where there is none.
+    """
+
+    times_s: Array
+    hulls: Sequence[Array]
+
+
+@dataclass(frozen=True)
+class ClockEstimate:
+    """A camera's clock against the reference: a picture of its own time s was taken at offset_s + (1 + drift) s.
+
+    offset_std_s, drift_std : standard deviations.  is_certain : whether the camera's curves say anything at all.
+    is_off : whether the clock differs from the reference by more than chance.
+    """
+
+    offset_s: float
+    drift: float
+    offset_std_s: float
+    drift_std: float
+    is_certain: bool
+    is_off: bool
+
+    def on_clock(self, times_s: Array) -> Array:
+        """Times (n,) s of the camera's own clock, on that of the reference."""
+        return self.offset_s + (1 + self.drift) * times_s
+
+
+class Curve(NamedTuple):
+    """Position of one of the two outermost planes of a pair, as one camera sees it.
+
+    camera, other : places in the rig.  side : -1 lower, 1 upper.  times_s : (n,).  metres : (n,) at the distance of the
+    people, NaN = not seen.
+    """
+
+    camera: int
+    other: int
+    side: int
+    times_s: Array
+    metres: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Synchrony:
+    """clocks : by name of the camera.  reference : the camera whose clock counts.  pairs : the curves (of i, of j) that
+    were compared, on the cameras' own clocks.  residual_m : root mean square distance of the curves afterwards."""
+
+    clocks: Mapping[str, ClockEstimate]
+    reference: str
+    pairs: Sequence[tuple[Curve, Curve]] = field(repr=False)
+    residual_m: float
+
+
+def silhouette_hull(mask: NDArray[np.bool_]) -> Array:
+    """Corners (P, 2) px of the convex hull of the large regions of a mask (H, W); (0, 2) when there is none."""
+    n, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    if n < 2 or areas.max() < _LEAST_AREA * mask.size:
+        return np.zeros((0, 2))
+    keep = np.flatnonzero(areas >= _LEAST_SHARE * areas.max()) + 1
+    # The ends of rows are enough for the hull.
+    kept = np.isin(labels, keep)
+    rows = np.flatnonzero(kept.any(axis=1))
+    left = kept[rows].argmax(axis=1)
+    right = kept.shape[1] - 1 - kept[rows, ::-1].argmax(axis=1)
+    points = np.concatenate([np.column_stack([left, rows]), np.column_stack([right, rows])]).astype(
+        np.float32
+    )
+    return np.asarray(cv2.convexHull(points).reshape(-1, 2), dtype=np.float64)
+
+
+def focus_of(rig: CameraRig) -> Array:
+    """The point (3,) m nearest to all optical axes."""
+    A, b = np.zeros((3, 3)), np.zeros(3)
+    for camera in rig:
+        across = np.eye(3) - np.outer(camera.R[2], camera.R[2])
+        A += across
+        b += across @ camera.center
+    return np.asarray(np.linalg.lstsq(A, b, rcond=None)[0])
+
+
+def tangent_curves(rig: CameraRig, seen: Sequence[Silhouettes]) -> list[tuple[Curve, Curve]]:
+    """Upper and lower curves of all pairs of cameras, (of the one, of the other)."""
+    focus = focus_of(rig)
+    rays = [[camera.rays(hull) for hull in s.hulls] for camera, s in zip(rig, seen, strict=True)]
+    inside = [[_inside(camera, hull) for hull in s.hulls] for camera, s in zip(rig, seen, strict=True)]
+    pairs = []
+    for i, j in combinations(range(len(rig)), 2):
+        baseline = rig[j].center - rig[i].center
+        if np.linalg.norm(baseline) < 1e-6:
+            continue
+        baseline /= np.linalg.norm(baseline)
+        towards = focus - rig[i].center
+        towards = towards - (towards @ baseline) * baseline
+        distance = float(np.linalg.norm(towards))
+        if distance < 0.1:
+            continue
+        axes = np.stack([towards / distance, np.cross(baseline, towards / distance)], axis=1)
+        i_both, j_both = (
+            np.array([_extremes(r, ok, axes) for r, ok in zip(rays[c], inside[c], strict=True)]).reshape(
+                -1, 2
+            )
+            for c in (i, j)
+        )
+        for k, side in enumerate((-1, 1)):
+            pairs.append(
+                (
+                    Curve(i, j, side, seen[i].times_s, distance * i_both[:, k]),
+                    Curve(j, i, side, seen[j].times_s, distance * j_both[:, k]),
+                )
+            )
+    return pairs
+
+
+def _inside(camera: Camera, hull: Array) -> NDArray[np.bool_]:
+    w, h = camera.size
+    u, v = hull.T
+    return (u > _EDGE_PX) & (u < w - 1 - _EDGE_PX) & (v > _EDGE_PX) & (v < h - 1 - _EDGE_PX)
+
+
+def _extremes(rays: Array, is_inside: NDArray[np.bool_], axes: Array) -> tuple[float, float]:
+    """Smallest and largest angle, rad, of the planes through rays (P, 3); NaN for one that the picture cuts off."""
+    if not len(rays):
+        return np.nan, np.nan
+    along, across = (rays @ axes).T
+    if along.min() <= 0:
+        return np.nan, np.nan
+    angle = np.arctan2(across, along)
+    low, high = int(angle.argmin()), int(angle.argmax())
+    if angle[high] - angle[low] > _WIDEST_RAD:
+        return np.nan, np.nan
+    return (
+        float(angle[low]) if is_inside[low] else np.nan,
+        float(angle[high]) if is_inside[high] else np.nan,
+    )
+
+
+def synchronise(
+    rig: CameraRig, seen: Sequence[Silhouettes], settings: SynchronySettings | None = None
+) -> Synchrony:
+    """The clocks of all cameras, from their silhouettes.
+
+    seen : in the order of the rig.
+    Raises ValueError for fewer than two cameras or another number of them than the rig has.
+    Source: Sinha and Pollefeys 2004, with robust joint refinement of all clocks.
+    """
+    if len(rig) < 2 or len(seen) != len(rig):
+        raise ValueError(
+            f"synchronise: {len(seen)} silhouettes for {len(rig)} cameras, expected two or more each"
+        )
+    s = settings or SynchronySettings()
+    curves = tangent_curves(rig, seen)
+    pairs = [(_smoothed(a, s.smooth_frames), _smoothed(b, s.smooth_frames)) for a, b in curves]
+    pairs = [(a, b) for a, b in pairs if min(_motion(a), _motion(b)) >= s.least_motion_m]
+    coarse = _coarse(pairs, len(rig), s)
+    return _refined(rig, pairs, coarse, s)
+
+
+def _motion(curve: Curve) -> float:
+    known = curve.metres[np.isfinite(curve.metres)]
+    return float(known.std()) if len(known) >= 10 else 0.0
+
+
+def _smoothed(curve: Curve, frames: float) -> Curve:
+    """A Gaussian over what is known; what is not known stays so."""
+    known = np.isfinite(curve.metres)
+    value = gaussian_filter1d(np.where(known, curve.metres, 0.0), frames, mode="constant")
+    weight = gaussian_filter1d(known.astype(np.float64), frames, mode="constant")
+    # Next to a gap, or to an end, the mean of the neighbours is one-sided: it would lag.
+    sure = known & (weight > 0.9 * min(1.0, weight.max()))
+    return curve._replace(metres=np.where(sure, value / np.maximum(weight, 1e-9), np.nan))
+
+
+def _coarse(pairs: Sequence[tuple[Curve, Curve]], n_cameras: int, s: SynchronySettings) -> Array:
+    """Offsets (C,) s on the grid of lags, NaN for cameras that no pair says anything about."""
+    n = round(s.max_lag_s / s.step_s)
+    cost: dict[tuple[int, int], Array] = {}
+    for a, b in pairs:
+        cost[a.camera, b.camera] = cost.get((a.camera, b.camera), 0.0) + _cost_of_lags(a, b, n, s)
+    steps = _tree(cost, n_cameras, n)
+    for _ in range(_SWEEPS):
+        for c in np.flatnonzero(np.isfinite(steps)):
+            # What every other camera says of this one, as a function of its offset.
+            said = [
+                _shifted(curve if j == c else curve[::-1], round(steps[j if i == c else i]))
+                for (i, j), curve in cost.items()
+                if c in (i, j) and np.isfinite(steps[j if i == c else i])
+            ]
+            steps[c] = int(np.sum(said, axis=0).argmin()) - n
+    return steps * s.step_s
+
+
+def _tree(cost: Mapping[tuple[int, int], Array], n_cameras: int, n: int) -> Array:
+    """Offsets (C,) in steps along the pairs whose lag is clearest; NaN for cameras that none reaches."""
+    clear = {pair: float(c.min() / np.median(c)) for pair, c in cost.items()}
+    steps = np.full(n_cameras, np.nan)
+    if clear:
+        steps[min(clear, key=clear.__getitem__)[0]] = 0.0
+    while edges := [pair for pair in clear if np.isfinite(steps[list(pair)]).sum() == 1]:
+        i, j = min(edges, key=clear.__getitem__)
+        lag = int(cost[i, j].argmin()) - n
+        if np.isnan(steps[j]):
+            steps[j] = steps[i] + lag
+        else:
+            steps[i] = steps[j] - lag
+    return steps
+
+
+def _shifted(curve: Array, shift: int) -> Array:
+    """curve moved by `shift` places to the right; what comes in is as bad as the worst."""
+    out = np.full(len(curve), curve.max())
+    n = len(curve)
+    if abs(shift) < n:
+        out[max(0, shift) : min(n, n + shift)] = curve[max(0, -shift) : min(n, n - shift)]
+    return out
+
+
+def _cost_of_lags(a: Curve, b: Curve, n: int, s: SynchronySettings) -> Array:
+    """Mean distance (2 n + 1,) of the curves, at most far_m, when b's clock is moved by -n .. n steps against a's."""
+    lo = min(a.times_s[0], b.times_s[0]) - n * s.step_s
+    hi = max(a.times_s[-1], b.times_s[-1]) + n * s.step_s
+    grid = np.arange(lo, hi + s.step_s, s.step_s)
+    on_a, on_b = _sampled(a, grid), _sampled(b, grid)
+    out = np.full(2 * n + 1, s.far_m)
+    least = max(10, round(s.least_overlap_s / s.step_s))
+    for k in range(-n, n + 1):
+        first, second = (on_a[k:], on_b[: len(on_b) - k]) if k >= 0 else (on_a[:k], on_b[-k:])
+        apart = first - second
+        apart = apart[np.isfinite(apart)]
+        if len(apart) >= least:
+            out[k + n] = np.minimum(np.abs(apart - np.median(apart)), s.far_m).mean()
+    return out
+
+
+def _sampled(curve: Curve, times_s: Array) -> Array:
+    """The curve at other times (n,) of its clock; NaN where a neighbour is not known."""
+    return np.interp(times_s, curve.times_s, curve.metres, left=np.nan, right=np.nan)
+
+
+def _refined(
+    rig: CameraRig, pairs: Sequence[tuple[Curve, Curve]], coarse: Array, s: SynchronySettings
+) -> Synchrony:
+    """Gauss-Newton over all clocks; they run equally fast unless it is certain that they do not."""
+    told = np.isfinite(coarse)
+    used = [(a, b) for a, b in pairs if told[a.camera] and told[b.camera]]
+    start = np.column_stack([np.where(told, coarse, 0.0), np.zeros(len(rig))])
+    clock, spread, residual = _fitted(used, start, np.zeros(len(rig), dtype=np.bool_), s)
+    free, deviation, _ = _fitted(used, clock, told, s)
+    reference = _reference(clock[:, 0], told)
+    lasts = np.zeros(len(rig))
+    for curve in (curve for pair in used for curve in pair):
+        lasts[curve.camera] = max(lasts[curve.camera], curve.times_s[-1])
+    drift = free[:, 1] - np.median(free[told, 1]) if told.any() else free[:, 1]
+    drifts = told & (np.abs(drift) > s.certain * deviation[:, 1]) & (np.abs(drift) * lasts > s.harmless_s)
+    if drifts.any():
+        clock, spread, residual = _fitted(used, clock, drifts, s)
+    clock = clock - clock[reference]
+    spread[:, 0] = np.hypot(spread[:, 0], s.systematic_s)
+    is_off = drifts | (told & (np.abs(clock[:, 0]) > np.maximum(s.harmless_s, s.certain * spread[:, 0])))
+    clocks = {
+        name: ClockEstimate(
+            float(clock[c, 0]),
+            float(clock[c, 1]),
+            float(spread[c, 0]),
+            float(spread[c, 1]),
+            is_certain=bool(told[c]),
+            is_off=bool(is_off[c]),
+        )
+        for c, name in enumerate(rig.names)
+    }
+    return Synchrony(clocks, rig.names[reference], used, residual)
+
+
+def _fitted(
+    pairs: Sequence[tuple[Curve, Curve]], clock: Array, may_drift: NDArray[np.bool_], s: SynchronySettings
+) -> tuple[Array, Array, float]:
+    """Clocks (C, 2) offset and drift, their deviations (C, 2) against the mean of all, and the residual in m."""
+    for _ in range(s.n_steps):
+        gradients, informations, residual = _normal_equations(pairs, clock, s)
+        step = _solve(gradients.sum(axis=0), informations.sum(axis=0), clock, may_drift, s)
+        clock = clock + step
+        if np.abs(step[:, 0]).max() < _DONE_S:
+            break
+    # The deviation is told from how the answer changes when a stretch of the recording is left out.
+    gradients, informations, residual = _normal_equations(pairs, clock, s)
+    left_out = np.array(
+        [
+            _solve(gradients.sum(axis=0) - g, informations.sum(axis=0) - h, clock, may_drift, s)
+            for g, h in zip(gradients, informations, strict=True)
+        ]
+    )
+    n = len(left_out)
+    return clock, np.sqrt((n - 1) / n * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)), residual
+
+
+def _reference(offset: Array, told: NDArray[np.bool_]) -> int:
+    """The camera that most others agree with: the one nearest to the median."""
+    middle = np.median(offset[told]) if told.any() else 0.0
+    return int(np.where(told, np.abs(offset - middle), np.inf).argmin()) if told.any() else 0
+
+
+def _solve(
+    gradient: Array, information: Array, clock: Array, may_drift: NDArray[np.bool_], s: SynchronySettings
+) -> Array:
+    """The step (C, 2) of the clocks towards smaller residuals; only some may change their speed."""
+    C = len(clock)
+    prior = np.zeros((C, 2))
+    prior[:, 1] = np.where(may_drift, s.drift, _NO_DRIFT) ** -2
+    H = information + np.diag(prior.ravel() + _RIDGE)
+    # All clocks may be moved together: the mean step of the offsets is none.
+    H[::2, ::2] += max(1.0, float(np.trace(H[::2, ::2]))) / C**2
+    return np.asarray(np.linalg.solve(H, gradient - (prior * clock).ravel()).reshape(C, 2), dtype=np.float64)
+
+
+def _normal_equations(
+    pairs: Sequence[tuple[Curve, Curve]], clock: Array, s: SynchronySettings
+) -> tuple[Array, Array, float]:
+    """Gradients (B, 2C) and informations (B, 2C, 2C) by block of time, and the residual, m."""
+    C = len(clock)
+    B = s.n_blocks
+    gradients, informations = np.zeros((B, 2 * C)), np.zeros((B, 2 * C, 2 * C))
+    squares, count = 0.0, 0.0
+    for a, b in pairs:
+        starts = [clock[x.camera, 0] + (1 + clock[x.camera, 1]) * x.times_s[[0, -1]] for x in (a, b)]
+        first, last = max(x[0] for x in starts), min(x[1] for x in starts)
+        step = float(np.median(np.diff(a.times_s)))
+        times = np.arange(first, last, step)
+        if len(times) < 10:
+            continue
+        value, slope, own = zip(*(_on_clock(x, clock[x.camera], times, step) for x in (a, b)), strict=True)
+        apart = value[0] - value[1]
+        known = np.isfinite(apart) & np.isfinite(slope[0]) & np.isfinite(slope[1])
+        if known.sum() < 10:
+            continue
+        apart, times = apart[known], times[known]
+        apart = apart - np.median(apart)
+        scale = max(1.4826 * float(np.median(np.abs(apart))), 1e-3)
+        weight = 1 / (1 + (apart / (2 * scale)) ** 2)
+        apart = apart - np.average(apart, weights=weight)
+        J = np.zeros((len(times), 2 * C))
+        for x, sl, o, sign in zip((a, b), slope, own, (1.0, -1.0), strict=True):
+            J[:, 2 * x.camera] = -sign * sl[known]
+            J[:, 2 * x.camera + 1] = -sign * sl[known] * o[known]
+        # What all frames have in common is the calibration's, not the clocks'.
+        J = J - np.average(J, axis=0, weights=weight)
+        w = weight / scale**2
+        block = np.minimum((B * (times - first) / max(last - first, 1e-9)).astype(int), B - 1)
+        for k in range(B):
+            at = block == k
+            informations[k] += (J[at] * w[at, None]).T @ J[at]
+            gradients[k] -= J[at].T @ (w[at] * apart[at])
+        squares += float((weight * apart**2).sum())
+        count += float(weight.sum())
+    return gradients, informations, float(np.sqrt(squares / count)) if count else float("nan")
+
+
+def _on_clock(curve: Curve, clock: Array, times: Array, step: float) -> tuple[Array, Array, Array]:
+    """Value and slope (per s) of a curve at times of the reference, and the times on the camera's own clock."""
+    own = (times - clock[0]) / (1 + clock[1])
+    value = _sampled(curve, own)
+    slope = (_sampled(curve, own + step) - _sampled(curve, own - step)) / (2 * step)
+    return value, slope, own
