@@ -17,7 +17,7 @@ from mocap.errors import MocapError
 from mocap.foreground import Segmenter, learn_background, median_background
 from mocap.io._files import atomic_text, writing
 from mocap.io.session import OpenedClips, open_clips, read_session_settings
-from mocap.io.session.timeline import TIMESTAMPS_FILE, own_times
+from mocap.io.session.timeline import TIMESTAMPS_FILE, differing_rates, own_times
 from mocap.io.tables import write_timestamps_csv
 from mocap.io.video import MaskReader, iter_clip, times_in_container
 from mocap.progress import Progress, no_progress
@@ -172,11 +172,9 @@ def _without(text: str, tables: Iterable[str]) -> str:
 
 def _own_times(clips: OpenedClips) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Times of all pictures on their cameras' own clocks, and the cameras of varying rate."""
-    rates = {name: clip.fps for name, clip in clips.clips.items() if clip.fps is not None}
-    if clips.settings.fps is not None:
-        rates = {}
-    times = own_times(clips.root, clips.clips, rates, clips.fps)
-    even = times or {name: np.arange(clip.n_frames) / clips.fps for name, clip in clips.clips.items()}
+    counts = {name: clip.n_frames for name, clip in clips.clips.items()}
+    times = own_times(clips.root, counts, differing_rates(clips.settings, clips.clips), clips.fps)
+    even = times or {name: np.arange(n) / clips.fps for name, n in counts.items()}
     if (clips.root / TIMESTAMPS_FILE).exists():
         return even, ()
     varying = []

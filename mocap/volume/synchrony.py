@@ -27,6 +27,8 @@ _EDGE_PX = 3.0  # a silhouette that reaches so near to the border of the picture
 _LEAST_SHARE = 0.1  # of the area of the largest region; smaller ones are no person
 _LEAST_AREA = 2e-4  # of the picture
 _SWEEPS = 3  # over all cameras, each against all others
+_LEAST_MOMENTS = 10
+_FINEST_M = 1e-3  # nothing is known better of a tangent
 _DONE_S = 1e-6  # a step that moves clocks by less is the last
 _NO_DRIFT = 1e-9
 _RIDGE = 1e-3  # settles clocks that nothing is said about; the information of one clear curve is 1e4 and more
@@ -39,11 +41,11 @@ class SynchronySettings:
 
     step_s : between the lags that are tried first.  max_lag_s : the largest of them.  least_overlap_s : that two clips
     must have at a lag.  far_m : curves that lie further apart count as this far.  smooth_frames : standard deviation of
-    the Gaussian that smooths a curve.  drift : standard deviation of the speed of clocks before anything is seen.
-    n_blocks : of time, that deviations are told from.  systematic_s : what all blocks have in common, which does not
-    show in them: outlines are rough, most of all where bodies are thin.  certain : deviations that a lag must be away
-    from zero, and harmless_s : seconds that it must exceed, to count as one.  least_motion_m : by which curves must
-    vary to tell anything.
+    the Gaussian that smooths a curve, and slow_s of the one that tells what changes too slowly to count.  alike :
+    frames of which tangents are off alike, so that they count as one.  drift : standard
+    deviation of the speed of clocks before anything is seen.  most_uncertain_s : clocks that are known worse are not
+    told.  certain : deviations that a clock must be off by to count as off, and harmless_s : seconds that it must
+    exceed.  least_motion_m : by which curves must vary to tell anything.
     """
 
     step_s: float = 1 / 60
@@ -51,11 +53,12 @@ class SynchronySettings:
     least_overlap_s: float = 1.5
     far_m: float = 0.08
     smooth_frames: float = 1.0
+    slow_s: float = 0.4
     drift: float = 2e-4
-    n_blocks: int = 8
-    systematic_s: float = 0.0008
+    alike: float = 10.0
+    most_uncertain_s: float = 0.03
     certain: float = 4.0
-    harmless_s: float = 0.003
+    harmless_s: float = 0.005
     least_motion_m: float = 0.02
     n_steps: int = 30
 
@@ -311,8 +314,8 @@ def _refined(
     used = [(a, b) for a, b in pairs if told[a.camera] and told[b.camera]]
     start = np.column_stack([np.where(told, coarse, 0.0), np.zeros(len(rig))])
     clock, spread, residual = _fitted(used, start, np.zeros(len(rig), dtype=np.bool_), s)
+    told &= spread[:, 0] < s.most_uncertain_s
     free, deviation, _ = _fitted(used, clock, told, s)
-    reference = _reference(clock[:, 0], told)
     lasts = np.zeros(len(rig))
     for curve in (curve for pair in used for curve in pair):
         lasts[curve.camera] = max(lasts[curve.camera], curve.times_s[-1])
@@ -320,8 +323,8 @@ def _refined(
     drifts = told & (np.abs(drift) > s.certain * deviation[:, 1]) & (np.abs(drift) * lasts > s.harmless_s)
     if drifts.any():
         clock, spread, residual = _fitted(used, clock, drifts, s)
-    clock = clock - clock[reference]
-    spread[:, 0] = np.hypot(spread[:, 0], s.systematic_s)
+    reference = _reference(clock[:, 0], told)
+    clock = np.where(told[:, None], clock - clock[reference], 0.0)
     is_off = drifts | (told & (np.abs(clock[:, 0]) > np.maximum(s.harmless_s, s.certain * spread[:, 0])))
     clocks = {
         name: ClockEstimate(
@@ -342,21 +345,12 @@ def _fitted(
 ) -> tuple[Array, Array, float]:
     """Clocks (C, 2) offset and drift, their deviations (C, 2) against the mean of all, and the residual in m."""
     for _ in range(s.n_steps):
-        gradients, informations, residual = _normal_equations(pairs, clock, s)
-        step = _solve(gradients.sum(axis=0), informations.sum(axis=0), clock, may_drift, s)
+        gradient, information, residual = _normal_equations(pairs, clock, s)
+        step, spread = _solved(gradient, information, clock, may_drift, s)
         clock = clock + step
         if np.abs(step[:, 0]).max() < _DONE_S:
             break
-    # The deviation is told from how the answer changes when a stretch of the recording is left out.
-    gradients, informations, residual = _normal_equations(pairs, clock, s)
-    left_out = np.array(
-        [
-            _solve(gradients.sum(axis=0) - g, informations.sum(axis=0) - h, clock, may_drift, s)
-            for g, h in zip(gradients, informations, strict=True)
-        ]
-    )
-    n = len(left_out)
-    return clock, np.sqrt((n - 1) / n * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)), residual
+    return clock, spread, residual
 
 
 def _reference(offset: Array, told: NDArray[np.bool_]) -> int:
@@ -365,59 +359,69 @@ def _reference(offset: Array, told: NDArray[np.bool_]) -> int:
     return int(np.where(told, np.abs(offset - middle), np.inf).argmin()) if told.any() else 0
 
 
-def _solve(
+def _solved(
     gradient: Array, information: Array, clock: Array, may_drift: NDArray[np.bool_], s: SynchronySettings
-) -> Array:
-    """The step (C, 2) of the clocks towards smaller residuals; only some may change their speed."""
+) -> tuple[Array, Array]:
+    """The step (C, 2) of the clocks towards smaller residuals, and deviations (C, 2); only some may change speed."""
     C = len(clock)
     prior = np.zeros((C, 2))
     prior[:, 1] = np.where(may_drift, s.drift, _NO_DRIFT) ** -2
     H = information + np.diag(prior.ravel() + _RIDGE)
     # All clocks may be moved together: the mean step of the offsets is none.
-    H[::2, ::2] += max(1.0, float(np.trace(H[::2, ::2]))) / C**2
-    return np.asarray(np.linalg.solve(H, gradient - (prior * clock).ravel()).reshape(C, 2), dtype=np.float64)
+    H[::2, ::2] += max(1.0, float(np.trace(information[::2, ::2]))) / C**2
+    covariance = np.linalg.inv(H)
+    step = (covariance @ (gradient - (prior * clock).ravel())).reshape(C, 2)
+    return step, np.sqrt(np.diagonal(covariance)).reshape(C, 2)
 
 
 def _normal_equations(
     pairs: Sequence[tuple[Curve, Curve]], clock: Array, s: SynchronySettings
 ) -> tuple[Array, Array, float]:
-    """Gradients (B, 2C) and informations (B, 2C, 2C) by block of time, and the residual, m."""
+    """Gradient (2C,) and information (2C, 2C) of the clocks, and the root mean square residual, m."""
     C = len(clock)
-    B = s.n_blocks
-    gradients, informations = np.zeros((B, 2 * C)), np.zeros((B, 2 * C, 2 * C))
-    squares, count = 0.0, 0.0
+    gradient, information = np.zeros(2 * C), np.zeros((2 * C, 2 * C))
+    squares, count = 0.0, 0
     for a, b in pairs:
-        starts = [clock[x.camera, 0] + (1 + clock[x.camera, 1]) * x.times_s[[0, -1]] for x in (a, b)]
-        first, last = max(x[0] for x in starts), min(x[1] for x in starts)
-        step = float(np.median(np.diff(a.times_s)))
-        times = np.arange(first, last, step)
-        if len(times) < 10:
+        apart, J, weight = _residuals(a, b, clock, s)
+        if not len(apart):
             continue
-        value, slope, own = zip(*(_on_clock(x, clock[x.camera], times, step) for x in (a, b)), strict=True)
-        apart = value[0] - value[1]
-        known = np.isfinite(apart) & np.isfinite(slope[0]) & np.isfinite(slope[1])
-        if known.sum() < 10:
-            continue
-        apart, times = apart[known], times[known]
-        apart = apart - np.median(apart)
-        scale = max(1.4826 * float(np.median(np.abs(apart))), 1e-3)
-        weight = 1 / (1 + (apart / (2 * scale)) ** 2)
-        apart = apart - np.average(apart, weights=weight)
-        J = np.zeros((len(times), 2 * C))
-        for x, sl, o, sign in zip((a, b), slope, own, (1.0, -1.0), strict=True):
-            J[:, 2 * x.camera] = -sign * sl[known]
-            J[:, 2 * x.camera + 1] = -sign * sl[known] * o[known]
-        # What all frames have in common is the calibration's, not the clocks'.
-        J = J - np.average(J, axis=0, weights=weight)
-        w = weight / scale**2
-        block = np.minimum((B * (times - first) / max(last - first, 1e-9)).astype(int), B - 1)
-        for k in range(B):
-            at = block == k
-            informations[k] += (J[at] * w[at, None]).T @ J[at]
-            gradients[k] -= J[at].T @ (w[at] * apart[at])
-        squares += float((weight * apart**2).sum())
-        count += float(weight.sum())
-    return gradients, informations, float(np.sqrt(squares / count)) if count else float("nan")
+        at = np.array([2 * a.camera, 2 * a.camera + 1, 2 * b.camera, 2 * b.camera + 1])
+        information[np.ix_(at, at)] += (J * weight[:, None]).T @ J
+        gradient[at] -= J.T @ (weight * apart)
+        squares += float((apart[weight > 0] ** 2).sum())
+        count += int((weight > 0).sum())
+    return gradient, information, float(np.sqrt(squares / count)) if count else float("nan")
+
+
+def _residuals(a: Curve, b: Curve, clock: Array, s: SynchronySettings) -> tuple[Array, Array, Array]:
+    """How far two curves are apart (n,) m, its derivative (n, 4) after offset and drift of a and of b, weights (n,).
+
+    Only what changes fast counts: calibration, shadows and frayed masks move a tangent too, but slowly.
+    """
+    spans = [clock[x.camera, 0] + (1 + clock[x.camera, 1]) * x.times_s[[0, -1]] for x in (a, b)]
+    step = float(np.median(np.diff(a.times_s)))
+    times = np.arange(max(span[0] for span in spans), min(span[1] for span in spans), step)
+    nothing = np.zeros(0), np.zeros((0, 4)), np.zeros(0)
+    if len(times) < _LEAST_MOMENTS:
+        return nothing
+    (value_a, slope_a, own_a), (value_b, slope_b, own_b) = (
+        _on_clock(x, clock[x.camera], times, step) for x in (a, b)
+    )
+    columns = [value_a - value_b, -slope_a, -slope_a * own_a, slope_b, slope_b * own_b]
+    table = np.column_stack(columns)
+    known = np.isfinite(table).all(axis=1)
+    if known.sum() < _LEAST_MOMENTS:
+        return nothing
+    table = np.where(known[:, None], table, 0.0)
+    share = gaussian_filter1d(known.astype(np.float64), s.slow_s / step, mode="constant")
+    slow = (
+        gaussian_filter1d(table, s.slow_s / step, axis=0, mode="constant") / np.maximum(share, 1e-9)[:, None]
+    )
+    table = np.where(known[:, None], table - slow, 0.0)
+    apart = table[:, 0]
+    scale = max(1.4826 * float(np.median(np.abs(apart[known]))), _FINEST_M)
+    weight = np.where(known, scale**-2 / s.alike / (1 + (apart / (2 * scale)) ** 2), 0.0)
+    return apart, table[:, 1:], weight
 
 
 def _on_clock(curve: Curve, clock: Array, times: Array, step: float) -> tuple[Array, Array, Array]:

@@ -248,9 +248,12 @@ def test_video_that_ends_before_its_header_says(make_session: MakeSession, rig: 
 
 
 def test_frame_rates(make_session: MakeSession) -> None:
-    session = open_session(make_session(12, fps={"cam_2": 50.0}))
+    session = open_session(make_session(12, fps={"cam_2": 50.0}, counts={"cam_2": 24}))
     assert session.fps == 25.0
     assert any("different frame rates" in w for w in session.warnings)
+    assert session.clip_frames["cam_2"].tolist() == list(range(0, 24, 2))
+    with pytest.raises(MocapError, match="mocap sync"):
+        open_session(make_session(12, name="of_other_length", fps={"cam_2": 50.0}))
 
 
 def write_folders(root: Path, kind: str, rig: CameraRig, n: int) -> None:

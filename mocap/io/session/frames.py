@@ -58,7 +58,7 @@ def choose_frames(
     first, to the last.
     Raises MocapError for a range outside the clips, clips of different length, and a clip that was cut off.
     """
-    counts = _counts(clips, detections)
+    counts = frame_counts(clips, detections)
     shortest = min(counts.values())
     start, stop = wanted or (None, None)
     last = shortest if stop is None else stop
@@ -107,7 +107,7 @@ def check_durations(
         )
 
 
-def _counts(clips: Mapping[str, ClipInfo], detections: Mapping[str, Path]) -> dict[str, int]:
+def frame_counts(clips: Mapping[str, ClipInfo], detections: Mapping[str, Path]) -> dict[str, int]:
     """Frames by clip; where there are only detections, as many as the longest table of them has."""
     if clips:
         return {name: clip.n_frames for name, clip in clips.items()}

@@ -22,6 +22,7 @@ from mocap.io.session.frames import (
     check_durations,
     choose_fps,
     choose_frames,
+    frame_counts,
     frames_of_timeline,
     rig_with_true_sizes,
 )
@@ -34,7 +35,7 @@ from mocap.io.session.sources import (
     match_sources,
     wanted_cameras,
 )
-from mocap.io.session.timeline import TIMESTAMPS_FILE, clip_times, timeline
+from mocap.io.session.timeline import TIMESTAMPS_FILE, clip_times, differing_rates, timeline
 from mocap.io.video import ClipInfo, clip_info
 
 Frames = tuple[int | None, int | None]
@@ -148,9 +149,10 @@ def _frame_rate(o: Opening) -> list[Finding]:
 def _frames(o: Opening) -> list[Finding]:
     """All clips have the frames that are wanted, each at its time."""
     wanted = o.wanted_frames if o.wanted_frames is not None else o.settings.frames
-    times = clip_times(o.root, o.settings, o.clips, o.fps)
+    found = {**_of(o.rig, o.sources.detections), **_of(o.rig, o.sources.keypoints)}
+    counts = frame_counts(o.clips, found)
+    times = clip_times(o.root, o.settings, counts, differing_rates(o.settings, o.clips), o.fps)
     if times is None:
-        found = {**_of(o.rig, o.sources.detections), **_of(o.rig, o.sources.keypoints)}
         o.frames = choose_frames(o.root, o.counted, found, wanted)
         return []
     if o.settings.offset_s is None and not (o.root / TIMESTAMPS_FILE).exists():

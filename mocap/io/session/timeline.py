@@ -44,51 +44,49 @@ class Timeline:
 
 
 def clip_times(
-    root: Path, settings: SessionSettings, clips: Mapping[str, ClipInfo], fps: float
+    root: Path, settings: SessionSettings, counts: Mapping[str, int], headers: Mapping[str, float], fps: float
 ) -> dict[str, Array] | None:
     """When each picture was taken, (n,) s on the clock of the session; None when nothing is said about clocks.
 
+    counts : camera -> pictures of its clip.  headers : camera -> frame rate that its file states, where that counts.
     Raises MocapError for cameras that are not known, and for a timestamps.csv that does not fit the clips.
     """
     offsets, rates = settings.offset_s or {}, settings.clip_fps or {}
     for key, table in (("offset_s", offsets), ("clip_fps", rates)):
-        if strangers := [name for name in table if name not in clips]:
-            raise bad_key(
-                root / "session.toml",
-                f"{key}.{strangers[0]}",
-                f"names no camera with a clip ({', '.join(clips)})",
-            )
-    own = own_times(root, clips, {**_differing_rates(settings, clips), **rates}, fps)
+        if strangers := [name for name in table if name not in counts]:
+            what = f"names no camera with a clip ({', '.join(counts)})"
+            raise bad_key(root / "session.toml", f"{key}.{strangers[0]}", what)
+    own = own_times(root, counts, {**headers, **rates}, fps)
     if own is None and not offsets:
         return None
-    nominal = {name: np.arange(clip.n_frames) / fps for name, clip in clips.items()}
-    return {name: offsets.get(name, 0.0) + (own or nominal)[name] for name in clips}
+    own = own or {name: np.arange(n) / fps for name, n in counts.items()}
+    return {name: offsets.get(name, 0.0) + own[name] for name in counts}
 
 
 def own_times(
-    root: Path, clips: Mapping[str, ClipInfo], rates: Mapping[str, float], fps: float
+    root: Path, counts: Mapping[str, int], rates: Mapping[str, float], fps: float
 ) -> dict[str, Array] | None:
     """When each picture was taken on its camera's own clock, (n,) s; None when all clips run at the session's rate."""
     if (root / TIMESTAMPS_FILE).exists():
-        return _stamped(root / TIMESTAMPS_FILE, clips)
+        return _stamped(root / TIMESTAMPS_FILE, counts)
     if not rates:
         return None
-    return {name: np.arange(clip.n_frames) / rates.get(name, fps) for name, clip in clips.items()}
+    return {name: np.arange(n) / rates.get(name, fps) for name, n in counts.items()}
 
 
-def _differing_rates(settings: SessionSettings, clips: Mapping[str, ClipInfo]) -> dict[str, float]:
+def differing_rates(settings: SessionSettings, clips: Mapping[str, ClipInfo]) -> dict[str, float]:
     """Frame rates of the headers, when they differ and the user has not said what holds for all."""
     found = {name: clip.fps for name, clip in clips.items() if clip.fps is not None}
-    if settings.fps is not None or len(found) < len(clips):
+    if settings.fps is not None or not found or len(found) < len(clips):
         return {}
     return found if max(found.values()) > (1 + _SAME_RATE) * min(found.values()) else {}
 
 
-def _stamped(path: Path, clips: Mapping[str, ClipInfo]) -> dict[str, Array]:
+def _stamped(path: Path, counts: Mapping[str, int]) -> dict[str, Array]:
     stamps = read_timestamps_csv(path)
     start = min(times[0] for times in stamps.values())
     out = {}
-    for name, clip in clips.items():
+    for name, n in counts.items():
         times = stamps.get(name, stamps.get(name.removeprefix("cam_").removeprefix("port_")))
         if times is None:
             raise MocapError(
@@ -97,9 +95,9 @@ def _stamped(path: Path, clips: Mapping[str, ClipInfo]) -> dict[str, Array]:
                 camera=name,
                 remedy="add its rows (cam_id, frame_time), or take the file away",
             )
-        if len(times) != clip.n_frames:
+        if len(times) != n:
             raise MocapError(
-                f"{len(times)} time stamps for a clip of {clip.n_frames} frames",
+                f"{len(times)} time stamps for a clip of {n} frames",
                 path=path,
                 camera=name,
                 remedy="use the time stamps of this very clip, one per frame",
