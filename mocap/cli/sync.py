@@ -28,8 +28,8 @@ def sync(
 ) -> None:
     """When each clip began and how fast its clock runs, from people who move; written to SESSION/session.toml.
 
-    The clips may have different lengths and frame rates. Every command then shows each frame by the pictures that were
-    taken nearest to it. One person who walks through the room for five seconds is enough.
+    The clips may have different lengths and frame rates. Every command then shows each frame by the pictures taken
+    nearest to it. One person who walks through the room for five seconds is enough.
     """
     from mocap.pipeline.sync import find_clocks, write_clocks, write_picture
 
@@ -45,9 +45,12 @@ def sync(
     if dry_run:
         return
     written = write_clocks(session, found)
-    typer.echo(
-        "Written: " + ", ".join(map(str, written)) if written else "All clocks agree; nothing was written."
-    )
+    if written:
+        typer.echo(f"Written: {', '.join(map(str, written))}")
+    else:
+        typer.echo(
+            "session.toml says so already." if found.off else "All clocks agree; nothing has to be written."
+        )
 
 
 def _in_words(name: str, clocks: SessionClocks) -> str:

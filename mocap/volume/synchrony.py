@@ -10,7 +10,7 @@ After Sinha and Pollefeys, "Synchronization and calibration of camera networks f
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ _SWEEPS = 3  # over all cameras, each against all others
 _LEAST_MOMENTS = 10
 _FINEST_M = 1e-3  # nothing is known better of a tangent
 _DONE_S = 1e-6  # a step that moves clocks by less is the last
-_NO_DRIFT = 1e-9
+_NO_DRIFT, _ANY_DRIFT = 1e-9, 1e-2
 _RIDGE = 1e-3  # settles clocks that nothing is said about; the information of one clear curve is 1e4 and more
 _WIDEST_RAD = 1.2  # people who stand so near to the line between two cameras have no tangents of use
 
@@ -322,9 +322,10 @@ def _refined(
     drift = free[:, 1] - np.median(free[told, 1]) if told.any() else free[:, 1]
     drifts = told & (np.abs(drift) > s.certain * deviation[:, 1]) & (np.abs(drift) * lasts > s.harmless_s)
     if drifts.any():
-        clock, spread, residual = _fitted(used, clock, drifts, s)
+        clock, spread, residual = _fitted(used, clock, drifts, replace(s, drift=_ANY_DRIFT))
     reference = _reference(clock[:, 0], told)
     clock = np.where(told[:, None], clock - clock[reference], 0.0)
+    clock[~drifts, 1] = 0.0
     is_off = drifts | (told & (np.abs(clock[:, 0]) > np.maximum(s.harmless_s, s.certain * spread[:, 0])))
     clocks = {
         name: ClockEstimate(

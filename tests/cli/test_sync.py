@@ -1,0 +1,98 @@
+"""`mocap sync`: clips of one recording that began at different moments, from the command line to the run's frames."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_session import mocap
+
+from eval.bench.scene import person_mask, ring
+from mocap.io import open_session
+from mocap.io.calibration import write_calibration
+
+SIZE, FPS, N = (320, 240), 30.0, 90
+RIG = ring(4, SIZE)
+LATE = {RIG.names[1]: 4, RIG.names[3]: 9}
+MakeSession = Callable[[dict[str, int]], Path]
+
+
+@pytest.fixture(scope="module")
+def films() -> dict[str, list[np.ndarray]]:
+    """True silhouettes of somebody who walks a curve."""
+    angles = np.arange(N) / FPS * 1.1
+    return {
+        c.name: [
+            person_mask(c, np.array([0.7 * np.cos(a), 0.5 * np.sin(2 * a)]), a + np.pi / 2) for a in angles
+        ]
+        for c in RIG
+    }
+
+
+@pytest.fixture
+def make_session(tmp_path: Path, films: dict[str, list[np.ndarray]]) -> MakeSession:
+    """A session of masks in which some cameras began late, by frames."""
+
+    def make(late: dict[str, int]) -> Path:
+        root = tmp_path / "session"
+        for name, masks in films.items():
+            folder = root / "masks" / name
+            folder.mkdir(parents=True)
+            for k, mask in enumerate(masks[late.get(name, 0) :]):
+                cv2.imwrite(str(folder / f"{k:04d}.png"), mask.astype(np.uint8) * 255)
+        write_calibration(root / "calibration.toml", RIG)
+        text = f'# ours\nfps = {FPS}\n\n[offset_s]\n"{RIG.names[0]}" = 1.0\n\n[camera_map]\n'
+        (root / "session.toml").write_text(text, encoding="utf-8")
+        return root
+
+    return make
+
+
+def test_offsets_are_found_written_and_applied(make_session: MakeSession, tmp_path: Path) -> None:
+    session = make_session(LATE)
+    done = mocap("sync", session, "--picture", tmp_path / "proof.png")
+    assert done.code == 0, done.err
+    assert "later" in done.out
+    assert "the reference" in done.out
+    assert cv2.imread(str(tmp_path / "proof.png")) is not None
+    text = (session / "session.toml").read_text(encoding="utf-8")
+    assert text.startswith(f"# ours\nfps = {FPS}\n")
+    assert "[camera_map]" in text
+    assert text.count("[offset_s]") == 1
+    opened = open_session(session)
+    for k in opened.frames:
+        shown = {name: int(opened.clip_frames[name][k]) + LATE.get(name, 0) for name in RIG.names}
+        assert len(set(shown.values())) == 1, shown
+    # The second time nothing changes.
+    assert mocap("sync", session).code == 0
+    assert (session / "session.toml").read_text(encoding="utf-8") == text
+
+
+def test_a_dry_run_writes_nothing(make_session: MakeSession) -> None:
+    session = make_session(LATE)
+    before = (session / "session.toml").read_bytes()
+    assert mocap("sync", session, "--dry-run").code == 0
+    assert (session / "session.toml").read_bytes() == before
+
+
+def test_clocks_that_agree_leave_no_table(make_session: MakeSession) -> None:
+    session = make_session({})
+    assert mocap("sync", session).code == 0
+    assert "offset_s" not in (session / "session.toml").read_text(encoding="utf-8")
+    assert open_session(session).clip_frames == {}
+
+
+def test_nobody_moves(make_session: MakeSession) -> None:
+    session = make_session({})
+    for name in RIG.names:
+        files = sorted((session / "masks" / name).iterdir())
+        for file in files[1:]:
+            shutil.copyfile(files[0], file)
+    done = mocap("sync", session)
+    assert done.code == 2
+    assert "nobody moves" in done.err
+    assert "offset_s" in done.err
