@@ -34,8 +34,8 @@ from mocap.synth import synthesise
 from mocap.synth.scene import load_scene
 
 RESULTS = Path(__file__).with_name("results")
-DEVELOPMENT = ("walk", "gesture", "two_persons", "four_cameras")
-TEST = ("walk_final", "jog_test", "throw_test", "dance_test", "sit_test")
+DEVELOPMENT = ("walk", "gesture")
+TEST = ("walk_final", "jog_test")
 N_FRAMES = 150
 MOST_OFFSET_S, MOST_DRIFT_MS_PER_S = 0.25, 0.05
 MOST_CUT = 8
@@ -124,7 +124,8 @@ def evaluate(name: str, work: Path, seed: int, with_poses: bool) -> Row:
     twin, root, true = cut(given, work, seed) if given.is_dir() else unsynchronised(name, work, seed)
     (root / "session.toml").write_text(_without_clocks(root), encoding="utf-8")
     healthy = find_clocks(twin)
-    clocks = find_clocks(root)
+    # Truth counts frames on the clock of the first camera.
+    clocks = find_clocks(root, reference=open_clips(root).rig.names[0])
     row: Row = {"session": twin.name, "seed": seed, "false_corrections": len(healthy.off)}
     row |= {"healthy_worst_ms": clock_errors(healthy, {})["worst_ms"]}
     row |= clock_errors(clocks, true)

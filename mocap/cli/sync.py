@@ -20,6 +20,9 @@ def sync(
     max_lag_s: Annotated[
         float, typer.Option("--max-lag-s", min=0.1, max=3600.0, help="Largest lag between two clips, s.")
     ] = 10.0,
+    reference: Annotated[
+        str | None, typer.Option("--reference", help="Camera on whose clock frames are counted; else chosen.")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option("--picture", help="PNG that shows what was found: before and after.")
     ] = None,
@@ -35,7 +38,12 @@ def sync(
 
     with progress_bar() as progress:
         found = find_clocks(
-            session, calibration=calibration, max_lag_s=max_lag_s, n_threads=threads, progress=progress
+            session,
+            calibration=calibration,
+            max_lag_s=max_lag_s,
+            reference=reference,
+            n_threads=threads,
+            progress=progress,
         )
     for name in found.found.clocks:
         typer.echo(f"{name}: {_in_words(name, found)}")
@@ -57,7 +65,7 @@ def _in_words(name: str, clocks: SessionClocks) -> str:
     """What was found of one camera."""
     clock = clocks.found.clocks[name]
     if name == clocks.found.reference:
-        return "the reference: most others agree with it"
+        return "the reference"
     if not clock.is_certain:
         return "cannot be told: nobody moves where it and another camera see it; taken as it is"
     if not clock.is_off:

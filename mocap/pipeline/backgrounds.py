@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import Any
 
-from mocap.arrays import Mask
+from mocap.arrays import Image, Mask
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.foreground import (

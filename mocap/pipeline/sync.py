@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import CameraRig
-from mocap.errors import MocapError
+from mocap.errors import MocapError, did_you_mean
 from mocap.foreground import Segmenter, learn_background, median_background
 from mocap.io._files import atomic_text, writing
 from mocap.io.session import OpenedClips, open_clips, read_session_settings
@@ -65,17 +65,25 @@ def find_clocks(
     *,
     calibration: Path | str | None = None,
     max_lag_s: float = SynchronySettings.max_lag_s,
+    reference: str | None = None,
     n_threads: int | None = None,
     progress: Progress = no_progress,
 ) -> SessionClocks:
     """When the clips of a session began, and how fast their clocks run, from the silhouettes of people who move.
 
     The clips may differ in length and rate; what session.toml says of clocks is not looked at.  max_lag_s : largest lag
-    that is looked for.  n_threads : None = up to 2; the result does not depend on it.
+    that is looked for.  reference : camera on whose clock frames are counted; None = the one that most others agree
+    with.  n_threads : None = up to 2; the result does not depend on it.
     Raises MocapError for a session that cannot be opened, and when nobody moves where two cameras see it.
     Source: Sinha and Pollefeys 2004.
     """
     clips = open_clips(session, calibration=calibration)
+    if reference is not None and reference not in clips.rig.names:
+        raise MocapError(
+            f"the session has no camera {reference}{did_you_mean(reference, clips.rig.names)}",
+            path=clips.root,
+            remedy=f"use one of {', '.join(clips.rig.names)}",
+        )
     times, varying = _own_times(clips)
     done = iter(range(len(clips.rig)))
 
@@ -86,7 +94,7 @@ def find_clocks(
         return Silhouettes(times[name][:n], hulls[:n])
 
     silhouettes = in_parallel(seen, clips.rig.names, n_threads or min(2, os.cpu_count() or 1))
-    found = synchronise(clips.rig, silhouettes, SynchronySettings(max_lag_s=max_lag_s))
+    found = synchronise(clips.rig, silhouettes, SynchronySettings(max_lag_s=max_lag_s), reference=reference)
     unsure = [name for name, clock in found.clocks.items() if not clock.is_certain]
     if len(unsure) == len(clips.rig):
         raise MocapError(

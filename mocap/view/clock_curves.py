@@ -37,12 +37,21 @@ def plot_clocks(curves: Sequence[ClockCurve]) -> bytes:
         for ax in axes:
             empty(ax, "all clocks agree")
     for row, curve in enumerate(shown):
+        levels = _levels(curve)
         for column, (times, title) in enumerate(
             ((curve.times_s, f"{curve.names[0]}: as filmed"), (curve.on_clock_s, curve.said))
         ):
             ax = axes[2 * row + column]
             for i, (name, t, metres) in enumerate(zip(curve.names, times, curve.metres, strict=True)):
-                ax.plot(t, metres - np.nanmedian(metres), label=name, lw=1.3, **line_style(i))
+                ax.plot(t, metres - levels[i], label=name, lw=1.3, **line_style(i))
             is_last = row == len(shown) - 1
             finish(ax, title, "time, s" if is_last else "", "tangent, m", legend=column == 1, small=True)
     return png(figure)
+
+
+def _levels(curve: ClockCurve) -> tuple[float, float]:
+    """What to take off each of the two, m: calibration and masks keep them a constant apart."""
+    (t_a, t_b), (a, b) = curve.on_clock_s, curve.metres
+    level = float(np.nanmedian(a))
+    apart = np.interp(t_a, t_b, b, left=np.nan, right=np.nan) - a
+    return level, level + (float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0)

@@ -205,11 +205,15 @@ def _extremes(rays: Array, is_inside: NDArray[np.bool_], axes: Array) -> tuple[f
 
 
 def synchronise(
-    rig: CameraRig, seen: Sequence[Silhouettes], settings: SynchronySettings | None = None
+    rig: CameraRig,
+    seen: Sequence[Silhouettes],
+    settings: SynchronySettings | None = None,
+    *,
+    reference: str | None = None,
 ) -> Synchrony:
     """The clocks of all cameras, from their silhouettes.
 
-    seen : in the order of the rig.
+    seen : in the order of the rig.  reference : camera whose clock counts; None = the one that most others agree with.
     Raises ValueError for fewer than two cameras or another number of them than the rig has.
     Source: Sinha and Pollefeys 2004, with robust joint refinement of all clocks.
     """
@@ -222,7 +226,7 @@ def synchronise(
     pairs = [(_smoothed(a, s.smooth_frames), _smoothed(b, s.smooth_frames)) for a, b in curves]
     pairs = [(a, b) for a, b in pairs if min(_motion(a), _motion(b)) >= s.least_motion_m]
     coarse = _coarse(pairs, len(rig), s)
-    return _refined(rig, pairs, coarse, s)
+    return _refined(rig, pairs, coarse, s, reference)
 
 
 def _motion(curve: Curve) -> float:
@@ -307,7 +311,11 @@ def _sampled(curve: Curve, times_s: Array) -> Array:
 
 
 def _refined(
-    rig: CameraRig, pairs: Sequence[tuple[Curve, Curve]], coarse: Array, s: SynchronySettings
+    rig: CameraRig,
+    pairs: Sequence[tuple[Curve, Curve]],
+    coarse: Array,
+    s: SynchronySettings,
+    wanted: str | None,
 ) -> Synchrony:
     """Gauss-Newton over all clocks; they run equally fast unless it is certain that they do not."""
     told = np.isfinite(coarse)
@@ -323,7 +331,7 @@ def _refined(
     drifts = told & (np.abs(drift) > s.certain * deviation[:, 1]) & (np.abs(drift) * lasts > s.harmless_s)
     if drifts.any():
         clock, spread, residual = _fitted(used, clock, drifts, replace(s, drift=_ANY_DRIFT))
-    reference = _reference(clock[:, 0], told)
+    reference = _reference(clock[:, 0], told) if wanted is None else rig.names.index(wanted)
     clock = np.where(told[:, None], clock - clock[reference], 0.0)
     clock[~drifts, 1] = 0.0
     is_off = drifts | (told & (np.abs(clock[:, 0]) > np.maximum(s.harmless_s, s.certain * spread[:, 0])))
@@ -410,7 +418,7 @@ def _residuals(a: Curve, b: Curve, clock: Array, s: SynchronySettings) -> tuple[
     )
     columns = [value_a - value_b, -slope_a, -slope_a * own_a, slope_b, slope_b * own_b]
     table = np.column_stack(columns)
-    known = np.isfinite(table).all(axis=1)
+    known = np.asarray(np.isfinite(table).all(axis=1))
     if known.sum() < _LEAST_MOMENTS:
         return nothing
     table = np.where(known[:, None], table, 0.0)

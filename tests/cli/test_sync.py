@@ -86,6 +86,18 @@ def test_clocks_that_agree_leave_no_table(make_session: MakeSession) -> None:
     assert open_session(session).clip_frames == {}
 
 
+def test_frames_are_counted_on_the_clock_of_a_chosen_camera(make_session: MakeSession) -> None:
+    session = make_session(LATE)
+    late = RIG.names[3]
+    done = mocap("sync", session, "--reference", late)
+    assert done.code == 0, done.err
+    opened = open_session(session)
+    assert opened.clip_frames[late].tolist() == list(range(opened.frames.stop))
+    done = mocap("sync", session, "--reference", "nobody")
+    assert done.code == 2
+    assert "no camera nobody" in done.err
+
+
 def test_nobody_moves(make_session: MakeSession) -> None:
     session = make_session({})
     for name in RIG.names:

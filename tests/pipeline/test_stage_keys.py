@@ -38,7 +38,15 @@ R = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 NAMES = ("left", "right")
 # What a product may depend on without naming it: cameras, frames and files are in every first key as they are.
 ALWAYS_IN_THE_KEY = {
-    *("rig", "frames", "image_sources", "background_sources", "mask_sources", "detection_sources"),
+    *(
+        "rig",
+        "frames",
+        "clip_frames",
+        "image_sources",
+        "background_sources",
+        "mask_sources",
+        "detection_sources",
+    ),
     "keypoint_sources",
     *("roi_sources", "clips", "root"),
 }
@@ -350,6 +358,16 @@ def test_frames_are_in_the_key(session: Session) -> None:
         stage_keys(session, Config(), 0)["segment"]
         != stage_keys(replace(session, frames=range(1)), Config(), 0)["segment"]
     )
+
+
+def test_clocks_are_in_the_key(session: Session) -> None:
+    n = session.frames.stop
+    late, later = ({"left": np.maximum(np.arange(n) - k, 0)} for k in (1, 2))
+    keys = {
+        stage_keys(replace(session, clip_frames=clocks), Config(), 0)["segment"]
+        for clocks in ({}, late, later)
+    }
+    assert len(keys) == 3
 
 
 def test_a_change_in_the_middle_of_a_file_is_seen(session: Session) -> None:
