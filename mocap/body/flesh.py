@@ -68,7 +68,8 @@ def build_look_up_table(body: Body, spacing_m: float) -> LookUpTable:
 
     Source: CF Eq. 6.11; spacing_m / voxel size is the density factor of CF Eq. 6.26. A point counts as surface
     when a 6-neighbour of it lies outside the whole body in the rest pose, so that joints inside the body are
-    no surface. With `body.exclusive` a point inside several parts belongs to the one it lies deepest in.
+    no surface. With `body.exclusive` a point inside several parts belongs to the one it lies deepest in; a segment that
+    lies in others altogether shares their points, and one between all points of the lattice is left out.
     Raises ValueError when a part is too thin to hold one point.
     """
     if not spacing_m > 0:
@@ -103,10 +104,12 @@ def build_look_up_table(body: Body, spacing_m: float) -> LookUpTable:
     tables, starts, n_surface, joints, parts, centers, radii = [], [0], [], [], [], [], []
     pairs = list(dict.fromkeys(zip(cones.part.tolist(), cones.joint.tolist(), strict=True)))
     for part, joint in sorted(pairs, key=lambda pair: pair[0]):
-        member = member_of[(cones.part == part) & (cones.joint == joint)].any(axis=0)
-        if not member.any():
-            raise ValueError(f"part {body.layout.parts[part]} is too thin for a spacing of {spacing_m} m")
-        rows = np.flatnonzero(member)
+        own = (cones.part == part) & (cones.joint == joint)
+        rows = np.flatnonzero(member_of[own].any(axis=0))
+        if not len(rows):
+            rows = np.flatnonzero(inside.reshape(len(cones.joint), -1)[own][:, is_flesh].any(axis=0))
+        if not len(rows):
+            continue
         rows = rows[np.argsort(~surface[rows], kind="stable")]
         local = (points[rows] - t[0, joint]) @ R[0, joint]
         center = 0.5 * (local.min(axis=0) + local.max(axis=0))
@@ -117,6 +120,8 @@ def build_look_up_table(body: Body, spacing_m: float) -> LookUpTable:
         parts.append(part)
         centers.append(center)
         radii.append(np.linalg.norm(local - center, axis=1).max())
+    if thin := sorted(set(cones.part.tolist()) - set(parts)):
+        raise ValueError(f"part {body.layout.parts[thin[0]]} is too thin for a spacing of {spacing_m} m")
     return LookUpTable(
         points=np.concatenate(tables),
         start=np.array(starts, dtype=np.int64),

@@ -144,6 +144,14 @@ def test_surface_points_are_those_beside_empty_space_at_rest() -> None:
         assert np.mean(out.any(axis=1) == is_surface) > 0.99
 
 
+@pytest.mark.parametrize("name", ["girdle", "whole"])
+@pytest.mark.parametrize("spacing_m", [0.02, 0.03, 0.05, 0.06])
+def test_bodies_of_all_sizes_fit_the_usual_voxels(name: str, spacing_m: float) -> None:
+    for height_m in (1.2, 1.5, 1.8, 2.0):
+        body = scale_body(load_body_model(name), height_m)
+        assert (build_look_up_table(body, spacing_m).part_sizes > 0).all()
+
+
 def test_too_thin_flesh_and_bad_spacings_are_refused() -> None:
     thin = replace(THESIS, cones=replace(THESIS.cones, radii=THESIS.cones.radii * 1e-3))
     with pytest.raises(ValueError, match="too thin"):
