@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.view.plotting import empty, finish, line_style, new_figure, png
+from mocap.view.plotting import LINE_COLOURS, empty, finish, new_figure, png
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def plot_clocks(curves: Sequence[ClockCurve]) -> bytes:
         ):
             ax = axes[2 * row + column]
             for i, (name, t, metres) in enumerate(zip(curve.names, times, curve.metres, strict=True)):
-                ax.plot(t, metres - levels[i], label=name, lw=1.3, **line_style(i))
+                ax.plot(t, metres - levels[i], label=name, lw=1.3, color=LINE_COLOURS[i])
             is_last = row == len(shown) - 1
             finish(ax, title, "time, s" if is_last else "", "tangent, m", legend=column == 1, small=True)
     return png(figure)
