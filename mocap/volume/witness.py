@@ -21,9 +21,17 @@ _SHADOW_M = 0.06  # a shadow on the floor is no volume
 _PERSON_LITRES = 8.0
 _PERSON_TOP_M = 0.5
 _KNEE_M = 0.45  # feet stand still: what reaches below the knee reaches the floor
+_CUT_KNEE_M = 0.6  # a lower leg that stands still is missing in all cuts alike, knee and all
 _FOOT_M = 0.16  # height of a foot
 _FOOT_REACH_M = 0.14  # from the lower leg to the toe
+_CUT_REACH_M = 0.1  # the same from a hull of cuts, which is fatter
+_HEAD_M = 0.25  # from the shoulders to the crown: a head that is held still is missing too
+_HEAD_OVER_M = 0.8  # of somebody who crouches
+_HEAD_REACH_M = 0.25  # around the highest place of a person nothing else is a head
+_HEAD_SLACK_M = 0.15  # how far below the highest place its neighbours may belong to it
 _CUT_MARGIN_PX = 3  # a cut may be off by so much
+_CORE_PX = 7  # what lies further inside is likely
+_NECK_M = 0.05  # around the highest place a head begins
 
 
 class Witness:
@@ -45,24 +53,20 @@ class Witness:
         """
         voxels = self._carver.carve(active, n_faulty_views=self._tolerance)
         voxels = voxels[self._grid.centers(voxels)[:, 2] > _SHADOW_M]
-        return self._seen(self._to_the_floor(self._persons(voxels)))
+        return self._seen(self._to_the_floor(self._persons(voxels), _KNEE_M, _FOOT_REACH_M))
 
     def corrected(self, cuts: Sequence[Mask]) -> list[tuple[Mask, Mask]]:
         """What is allowed and what is likely in each picture of one instant, (H, W) bool each; see refine_mask.
 
         cuts : (H, W) bool per camera; some may be far too large, and one camera in three too small.
         """
-        wide = self._carver.carve(cuts, n_faulty_views=2 * self._tolerance)
-        tight = self._carver.carve(cuts, n_faulty_views=self._tolerance)
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _CUT_MARGIN_PX + 1,) * 2)
+        wide = self._persons(self._carver.carve(cuts, n_faulty_views=2 * self._tolerance))
+        tight = self._persons(self._carver.carve(cuts, n_faulty_views=self._tolerance))
+        possible = np.union1d(wide, self._whole(tight)).astype(np.int32)
         out = []
-        for may, must, cut in zip(
-            self._seen(self._persons(wide)), self._seen(self._persons(tight)), cuts, strict=True
-        ):
-            allowed = cv2.dilate(may.astype(np.uint8), disc) > 0
-            core = (
-                cv2.erode(must.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))) > 0
-            )
+        for may, must, cut in zip(self._seen(possible), self._seen(tight), cuts, strict=True):
+            allowed = cv2.dilate(may.astype(np.uint8), _disc(_CUT_MARGIN_PX)) > 0
+            core = cv2.erode(must.astype(np.uint8), _disc(_CORE_PX)) > 0
             out.append((allowed, allowed & (cut | core)))
         return out
 
@@ -78,13 +82,34 @@ class Witness:
         np.maximum.at(top, labels, self._grid.centers(voxels)[:, 2])
         return voxels[((litres >= _PERSON_LITRES) & (top >= _PERSON_TOP_M))[labels]]
 
-    def _to_the_floor(self, voxels: Voxels) -> Voxels:
+    def _whole(self, voxels: Voxels) -> Voxels:
+        """The voxels with lower legs and heads, where those can be missing."""
+        return self._to_the_crown(self._to_the_floor(voxels, _CUT_KNEE_M, _CUT_REACH_M))
+
+    def _to_the_floor(self, voxels: Voxels, knee_m: float, reach_m: float) -> Voxels:
         """The voxels with legs and feet below what reaches below the knee."""
         side = self._grid.voxel_size_m
         full = self._grid.dense(voxels).astype(np.uint8)
-        knee, foot, reach = (max(1, round(length / side)) for length in (_KNEE_M, _FOOT_M, _FOOT_REACH_M))
+        knee, foot, reach = (max(1, round(length / side)) for length in (knee_m, _FOOT_M, reach_m))
         leg = cv2.dilate(full[:, :, :knee].any(axis=2).astype(np.uint8), np.ones((3, 3), np.uint8))
         full[:, :, :knee] |= leg[:, :, None]
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-        full[:, :, :foot] |= cv2.dilate(leg, disc)[:, :, None]
+        full[:, :, :foot] |= cv2.dilate(leg, _disc(reach))[:, :, None]
         return np.flatnonzero(full.ravel()).astype(np.int32)
+
+    def _to_the_crown(self, voxels: Voxels) -> Voxels:
+        """The voxels with room for a head on the highest place of each person."""
+        side, full = self._grid.voxel_size_m, self._grid.dense(voxels).astype(np.uint8)
+        n = full.shape[2]
+        top = np.where(full.any(axis=2), n - full[:, :, ::-1].argmax(axis=2), 0).astype(np.float32)
+        highest = cv2.dilate(top, _disc(round(_HEAD_REACH_M / side)))
+        is_top = (top > _HEAD_OVER_M / side) & (top >= highest - _HEAD_SLACK_M / side)
+        below = cv2.dilate(np.where(is_top, top, 0).astype(np.float32), _disc(round(_NECK_M / side)))[
+            :, :, None
+        ]
+        z = np.arange(n)
+        full |= ((below > 0) & (z >= below - 3) & (z < below + _HEAD_M / side)).view(np.uint8)
+        return np.flatnonzero(full.ravel()).astype(np.int32)
+
+
+def _disc(radius: int) -> NDArray[np.uint8]:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))

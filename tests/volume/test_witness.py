@@ -75,6 +75,22 @@ def test_a_cut_that_is_off_is_put_right(witness: Witness, silhouettes: list[np.n
     assert corrected[1][1][lower].mean() > 0.2  # 24 pixels wide, without a rim of 7 on both sides
 
 
+def test_lower_legs_and_heads_that_all_cuts_lack_are_allowed(
+    witness: Witness, silhouettes: list[np.ndarray]
+) -> None:
+    cuts = []
+    for person in silhouettes:
+        rows, cut = np.flatnonzero(person.any(axis=1)), person.copy()
+        cut[: rows[0] + round(0.12 * len(rows))] = False
+        cut[rows[0] + round(0.72 * len(rows)) :] = False
+        cuts.append(cut)
+    for (allowed, likely), person, cut in zip(witness.corrected(cuts), silhouettes, cuts, strict=True):
+        assert allowed[person].mean() > 0.97
+        assert np.count_nonzero(allowed) < 3 * np.count_nonzero(person)
+        # Only the picture can say that they are his.
+        assert not likely[person & ~grown(cut, 2)].any()
+
+
 def test_nobody_gives_nothing(witness: Witness, silhouettes: list[np.ndarray]) -> None:
     empty = [np.zeros_like(s) for s in silhouettes]
     assert not any(region.any() for region in witness.regions(empty))
