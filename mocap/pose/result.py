@@ -106,6 +106,15 @@ def warnings_of_volumes(
             f"person {person}: {', '.join(names)} may be elsewhere in frames {when}: another pose explains the volume "
             "about as well there, as when legs cross behind furniture. They are marked as not observed"
         )
+    hidden = (series.hidden_std > 0) & ~doubtful
+    if hidden.any():
+        names = [
+            name for name, own in zip(landmark_names(hidden.shape[1]), hidden.T, strict=True) if own.any()
+        ]
+        warnings.append(
+            f"person {person}: {', '.join(names)} are hidden from all cameras or all but one in frames "
+            f"{_told(frames[hidden.any(axis=1)])}: they are marked as not observed, and deviations grow with the time"
+        )
     seldom = _seldom_observed(observed, log_likelihood)
     if seldom:
         warnings.append(

@@ -10,12 +10,14 @@ from flesh_voxels import make_flesh
 from test_pose_estimate import BODY, series_of
 
 from mocap.body import landmarks_of, neutral_state
+from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, VoxelGrid
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pipeline.stages.pose import surface_towards_air
-from mocap.pose.deviation import landmark_covariances
+from mocap.pose.deviation import FrameSeries, landmark_covariances
 from mocap.pose.method import DeviationSettings
+from mocap.pose.result import warnings_of_volumes
 from mocap.pose.volume import PersonHull, VolumeEvidence, pack_volume
 from mocap.volume import surface_voxels
 
@@ -100,6 +102,35 @@ def test_a_landmark_is_observed_only_when_two_cameras_can_judge_it(n_cameras: in
     above = landmarks_of(FLESH.body, state()[None])[0, :, 2] >= low
     assert fit.judged[above].all()
     assert fit.observed[above].all()
+
+
+def test_hidden_landmarks_are_named_with_their_frames() -> None:
+    states = np.tile(neutral_state(BODY), (3, 1))
+    hidden = np.zeros((3, len(LANDMARKS)))
+    hidden[1:, ANKLE] = 0.1, 0.25
+
+    def told(series: FrameSeries, doubtful: np.ndarray) -> list[str]:
+        return warnings_of_volumes(
+            4,
+            n_blind=0,
+            series=series,
+            frames=np.array([20, 21, 22]),
+            observed=np.ones((3, len(LANDMARKS)), dtype=np.bool_),
+            doubtful=doubtful,
+            log_likelihood=np.zeros(3),
+            height=HeightEstimate(1.7, True),
+            is_facing_open=False,
+            crowded_share=0.4,
+        )
+
+    nothing = np.zeros((3, len(LANDMARKS)), dtype=np.bool_)
+    assert told(series_of(states), nothing) == []
+    (warning,) = told(series_of(states, hidden_std=hidden), nothing)
+    assert warning.startswith(
+        "person 4: right_ankle are hidden from all cameras or all but one in frames 21-22:"
+    )
+    (warning,) = told(series_of(states, hidden_std=hidden), hidden > 0)
+    assert warning.startswith("person 4: right_ankle may be elsewhere in frames 21-22:")
 
 
 def test_hidden_landmarks_have_larger_deviations() -> None:
