@@ -23,7 +23,7 @@ import numpy as np
 
 from eval.pose_ablation import session_folder
 from eval.pose_sessions import ROOT
-from eval.whole import write_csv
+from eval.whole import save_figure, write_csv
 
 RESULTS = ROOT / "eval" / "results" / "pose_speed.csv"
 PICTURE = ROOT / "docs" / "pictures" / "pose-speed.png"
@@ -126,7 +126,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     axes.invert_yaxis()
     axes.set_xlabel("ms of CPU per frame")
     axes.legend(frameon=False)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def main() -> None:

@@ -23,7 +23,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from eval.whole import write_csv
+from eval.whole import write_csv, write_text
 from mocap.errors import MocapError
 from mocap.io.session import open_clips
 from mocap.io.video import iter_clip
@@ -80,9 +80,8 @@ def cut(session: Path, work: Path, seed: int) -> tuple[Path, Path, dict[str, tup
                     cv2.imwrite(str(folder / f"{k:05d}.png"), picture[:, :, ::-1])
         if clips.settings.fps is None:
             path = root / "session.toml"
-            path.write_text(
-                f"fps = {clips.fps:g}\n" + (path.read_text() if path.exists() else ""), encoding="utf-8"
-            )
+            before = path.read_text(encoding="utf-8") if path.exists() else ""
+            write_text(path, f"fps = {clips.fps:g}\n{before}")
     return session, root, {n: (k / clips.fps, 0.0) for n, k in n_cut.items()}
 
 
@@ -122,7 +121,7 @@ def evaluate(name: str, work: Path, seed: int, with_poses: bool) -> Row:
     """One session: clocks of its twin and its own, and poses before and after."""
     given = Path(name)
     twin, root, true = cut(given, work, seed) if given.is_dir() else unsynchronised(name, work, seed)
-    (root / "session.toml").write_text(_without_clocks(root), encoding="utf-8")
+    write_text(root / "session.toml", _without_clocks(root))
     healthy = find_clocks(twin)
     # Truth counts frames on the clock of the first camera.
     clocks = find_clocks(root, reference=open_clips(root).rig.names[0])

@@ -464,11 +464,11 @@ def test_without_background_says_so(session: Path, tmp_path: Path) -> None:
 
 
 def test_background_that_does_not_fit(session: Path, tmp_path: Path) -> None:
-    """A background of another camera fills the picture; the run says which camera and goes on."""
+    """A background of another camera shows another place; the run says which camera, learns anew and goes on."""
     wrong = copy_session(session, tmp_path / "session")
     shutil.copy(wrong / "background" / "cam_0.mp4", wrong / "background" / "cam_2.mp4")
     result = run_session(wrong, tmp_path / "out", config=plain_config(), until="carve")
-    assert any("camera cam_2" in w and "background does not fit" in w for w in result.warnings)
+    assert any("camera cam_2" in w and "shows another place" in w for w in result.warnings)
 
 
 def test_image_folders_equal_videos(session: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from mocap.compare import Pair
 from mocap.compare.detail import angles_on_reference_skeleton
-from mocap.data import LANDMARKS
+from mocap.data import FURTHER_LANDMARKS, LANDMARKS
 from mocap.metrics import ANGLES, angle_differences, fit_reference_skeleton, joint_angles
 from mocap.metrics.points import torso_rotation
 from mocap.metrics.reference import SEGMENTS, _forward, _jacobian, _moved, _sizes, _start
@@ -147,7 +147,8 @@ def test_scores_take_only_matched_landmarks():
     x = walk(8, np.random.default_rng(7))
     y = x.copy()
     y[:, AT("left_wrist")] += 0.5
-    pair = Pair(1, np.arange(8), y, x, np.full_like(x, np.nan), np.ones(x.shape[:2], bool))
+    further = np.full((8, len(FURTHER_LANDMARKS), 3), np.nan)
+    pair = Pair(1, np.arange(8), y, x, np.full_like(x, np.nan), np.ones(x.shape[:2], bool), further, further)
     gated, open_ = (angles_on_reference_skeleton([pair], e) for e in (100.0, None))
     assert np.isnan(gated.per_angle_deg[list(ANGLES).index("left_elbow")])
     assert open_.per_angle_deg[list(ANGLES).index("left_elbow")] > 1.0

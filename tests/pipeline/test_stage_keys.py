@@ -361,8 +361,7 @@ def test_frames_are_in_the_key(session: Session) -> None:
 
 
 def test_clocks_are_in_the_key(session: Session) -> None:
-    n = session.frames.stop
-    late, later = ({"left": np.maximum(np.arange(n) - k, 0)} for k in (1, 2))
+    late, later = ({"left": np.arange(session.frames.stop) + k} for k in (1, 2))
     keys = {
         stage_keys(replace(session, clip_frames=clocks), Config(), 0)["segment"]
         for clocks in ({}, late, later)
