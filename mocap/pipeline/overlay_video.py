@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.errors import MocapError
-from mocap.io.video import FrameReader
+from mocap.io.session.reading import pictures_of
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import body_parts, rows_at
 from mocap.progress import Progress, no_progress
@@ -50,8 +50,7 @@ def overlay_videos(
                 _opened(stack, part, session.fps, camera.size)
                 for part, camera in zip(parts, rig, strict=True)
             ]
-            sources = {name: session.image_sources[name] for name in names}
-            reader = stack.enter_context(FrameReader(sources, rig, session.frames))
+            reader = stack.enter_context(pictures_of(session, cameras=names))
             for i, (frame, images) in enumerate(reader):
                 rows = rows_at(found.poses, frame)
                 bodies = [

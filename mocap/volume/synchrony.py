@@ -42,10 +42,10 @@ class SynchronySettings:
     step_s : between the lags that are tried first.  max_lag_s : the largest of them.  least_overlap_s : that two clips
     must have at a lag.  far_m : curves that lie further apart count as this far.  smooth_frames : standard deviation of
     the Gaussian that smooths a curve, and slow_s of the one that tells what changes too slowly to count.  alike :
-    frames of which tangents are off alike, so that they count as one.  drift : standard
-    deviation of the speed of clocks before anything is seen.  most_uncertain_s : clocks that are known worse are not
-    told.  certain : deviations that a clock must be off by to count as off, and harmless_s : seconds that it must
-    exceed.  least_motion_m : by which curves must vary to tell anything.
+    frames of which tangents are off alike, so that they count as one.  drift : standard deviation of the speed of
+    clocks before anything is seen.  most_uncertain_s : clocks that are known worse are not told.  certain : deviations
+    that a clock must be off by to count as off, and harmless_s : seconds that it must exceed.  least_motion_m : by
+    which curves must vary to tell anything.
     """
 
     step_s: float = 1 / 60

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from io_samples import frame_picture
 
+import mocap as library
 from mocap.data import CameraRig
 from mocap.errors import MocapError
 from mocap.io import open_session
@@ -128,8 +130,6 @@ def test_clocks_that_cannot_be(make_session: MakeSession, text: str, message: st
     root = say(make_session(12), text)
     with pytest.raises(MocapError) as caught:
         open_session(root)
-    import re
-
     assert re.search(message, str(caught.value)), str(caught.value)
 
 
@@ -155,3 +155,14 @@ def test_time_stamps_that_do_not_fit(make_session: MakeSession, rig: CameraRig) 
     path.write_text("cam_id,frame_time\n")
     with pytest.raises(MocapError, match="no time stamps"):
         read_timestamps_csv(path)
+
+
+def test_stages_and_views_read_pictures_by_the_clock() -> None:
+    """Only `mocap sync` reads clips as they were filmed: whoever else makes a reader of his own forgets the clocks."""
+    pipeline = Path(library.__file__).parent / "pipeline"
+    own = [
+        p.name
+        for p in sorted(pipeline.rglob("*.py"))
+        if re.search(r"(Frame|Mask)Reader\(", p.read_text("utf-8"))
+    ]
+    assert own == ["sync.py"]

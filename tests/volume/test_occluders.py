@@ -54,6 +54,24 @@ def hit_cylinder(eye: np.ndarray, rays: np.ndarray, at: np.ndarray) -> np.ndarra
     return np.where((root > 0) & (z > 0) & (z < PERSON_HEIGHT_M), t, np.inf)
 
 
+def standing_silhouettes(at: np.ndarray) -> list[np.ndarray]:
+    """What every camera sees of the person at (2,) m."""
+    found = []
+    for i in range(len(ring_rig())):
+        eye, rays = rays_of(i)
+        found.append(np.isfinite(hit_cylinder(eye, rays, at)).reshape(SIZE[1], SIZE[0]))
+    return found
+
+
+def on_floor(i: int, xy: np.ndarray, radius_m: float) -> np.ndarray:
+    """What camera i sees of a disc on the floor."""
+    eye, rays = rays_of(i)
+    with np.errstate(divide="ignore"):
+        t = -eye[2] / rays[:, 2]
+    at = eye[:2] + t[:, None] * rays[:, :2]
+    return ((t > 0) & (np.linalg.norm(at - xy, axis=1) < radius_m)).reshape(SIZE[1], SIZE[0])
+
+
 def hit_box(eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore"):
         t = (BOX[:, None] - eye) / rays

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from test_occluders import SIZE, hit_cylinder, rays_of, ring_rig
+from test_occluders import on_floor, ring_rig, standing_silhouettes
 
 from mocap.data import VoxelGrid
 from mocap.volume import SecondLook
@@ -23,19 +23,7 @@ def look() -> SecondLook:
 
 @pytest.fixture(scope="module")
 def persons() -> list[np.ndarray]:
-    found = []
-    for i in range(len(ring_rig())):
-        eye, rays = rays_of(i)
-        found.append(np.isfinite(hit_cylinder(eye, rays, AT)).reshape(SIZE[1], SIZE[0]))
-    return found
-
-
-def on_floor(i: int, xy: np.ndarray, radius_m: float) -> np.ndarray:
-    eye, rays = rays_of(i)
-    with np.errstate(divide="ignore"):
-        t = -eye[2] / rays[:, 2]
-    at = eye[:2] + t[:, None] * rays[:, :2]
-    return ((t > 0) & (np.linalg.norm(at - xy, axis=1) < radius_m)).reshape(SIZE[1], SIZE[0])
+    return standing_silhouettes(AT)
 
 
 def middle_of(person: np.ndarray) -> np.ndarray:
