@@ -50,7 +50,7 @@ test: $(STAMP)
 	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m "not slow" $(ARGS)
 
 test-slow: $(STAMP)
-	@$(BIN)/python -m pytest -m slow $(ARGS)
+	@$(BIN)/python -m pytest -m slow --timeout 3600 $(ARGS)
 
 mutants: $(STAMP)
 	@$(BIN)/python -m eval.mutants $(ARGS)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import cluster_work
@@ -138,19 +139,31 @@ def test_a_cluster_of_this_machine_gives_the_same_and_listens_to_nobody_else(tmp
     psutil = pytest.importorskip("psutil")
     pytest.importorskip("distributed", reason="needs the extra cluster")
     some = jobs(6, {1: "mistake", 4: "death"})
+    from distributed import Client, Security
+
     listening: set[str] = set()
+    ports: set[int] = set()
+    refused: list[int] = []
     processes: set[int] = set()
 
     def look(standing: Standing) -> None:
         for process in [psutil.Process(), *psutil.Process().children(recursive=True)]:
             processes.add(process.pid)
-            for connection in process.net_connections():
-                if connection.status == psutil.CONN_LISTEN:
-                    listening.add(connection.laddr.ip)
+            with suppress(psutil.NoSuchProcess):  # the worker that died may be looked at in the middle of it
+                found = [c.laddr for c in process.net_connections() if c.status == psutil.CONN_LISTEN]
+                listening.update(place.ip for place in found)
+                if process.pid == os.getpid():  # the scheduler's
+                    ports.update(place.port for place in found)
+        if standing.n_finished == 1:
+            for port in ports:
+                with pytest.raises(OSError, match=r"(?i)ssl|tls|timed out|closed"):
+                    Client(f"tls://127.0.0.1:{port}", security=Security.temporary(), timeout=5)
+                refused.append(port)
 
     found = run(some, tmp_path / "dask", Engine(n_workers=2), progress=look)
     assert len(processes) > 2
     assert listening == {"127.0.0.1"}
+    assert refused  # who has other keys, or none
     assert found["job-4"].error.startswith("the worker process died")
     alone = run(jobs(6, {1: "mistake", 4: "bug"}), tmp_path / "alone")
     for key in ("job-0", "job-1", "job-2", "job-3", "job-5"):
@@ -247,6 +260,17 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
         process.wait()
 
 
+def dask_worker(address: str, folder: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "dask", "worker", address]
+    return subprocess.Popen(
+        [*command, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard"],
+        env=ENVIRONMENT,
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
 def test_a_scheduler_and_a_worker_of_the_user(
     tmp_path: Path, scheduler: tuple[str, subprocess.Popen[bytes]]
 ) -> None:
@@ -254,24 +278,7 @@ def test_a_scheduler_and_a_worker_of_the_user(
     there = Engine(scheduler=address)
     with pytest.raises(MocapError, match="has had no worker for 0 s"):
         run(jobs(1), tmp_path / "cells", Engine(scheduler=address, patience_s=0.0))
-    worker = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "dask",
-            "worker",
-            address,
-            "--host",
-            "127.0.0.1",
-            "--nthreads",
-            "1",
-            "--no-dashboard",
-        ],
-        env=ENVIRONMENT,
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    worker = dask_worker(address, tmp_path)
     try:
         found = run(jobs(3, {1: "bug"}), tmp_path / "cells", there)
         # The scheduler serves the next command as well, until it goes away.
@@ -289,6 +296,28 @@ def test_a_scheduler_and_a_worker_of_the_user(
     assert [o.result for o in found.values()] == [{"value": 0}, None, {"value": 4}]
     assert more["job-3"].result == {"value": 9}
     assert more["job-1"].error == "ZeroDivisionError: by chance"
+    assert 2 <= len(list((tmp_path / "lost").glob("*.json"))) < 9
+
+
+def test_a_scheduler_that_falls_silent_is_not_waited_for_for_ever(
+    tmp_path: Path, scheduler: tuple[str, subprocess.Popen[bytes]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "_ANSWER_S", 1.0)
+    monkeypatch.setattr(engine, "_CONNECT_S", 2.0)
+    address, process = scheduler
+    worker = dask_worker(address, tmp_path)
+
+    def fall_silent(standing: Standing) -> None:
+        if standing.n_finished == 2:
+            process.send_signal(signal.SIGSTOP)
+
+    try:
+        with pytest.raises(MocapError, match="went away"):
+            run(jobs(9, sleep_s=0.1), tmp_path / "lost", Engine(scheduler=address), progress=fall_silent)
+    finally:
+        process.kill()
+        worker.kill()
+        worker.wait()
     assert 2 <= len(list((tmp_path / "lost").glob("*.json"))) < 9
 
 

@@ -16,8 +16,9 @@ import traceback
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ Work = Callable[[dict[str, Any]], dict[str, Any]]
 _FORMAT = 1
 _TICK_S = 2.0  # how often an idle client looks whether there are workers
 _CONNECT_S = 10.0
+_ANSWER_S = 60.0  # a scheduler that says nothing for longer has gone; dask itself would wait for ever
 _DEAD_WORKER = (
     "the worker process died without an answer. Remedy: it may have run out of memory; use fewer workers."
 )
@@ -122,11 +124,11 @@ def run_jobs(
             failed = sum(not outcome.is_done for outcome in outcomes.values())
             tick(Standing(len(kept), len(outcomes), failed, n_reused, n_workers, time.monotonic() - started))
 
-        def settle(job: Job, outcome: Outcome, n_workers: int) -> None:
+        def settle(job: Job, outcome: Outcome, n_workers: Callable[[], int]) -> None:
             if job.is_kept:
                 write_outcome(folder, job.key, outcome)
                 outcomes[job.key] = outcome
-                say(n_workers)
+                say(n_workers())
 
         say(0)
         if not pending:
@@ -149,7 +151,7 @@ def _run_here(jobs: Sequence[Job], code: str, settle: Callable[..., None]) -> No
     done: dict[str, Outcome] = {}
     for job in jobs:
         done[job.key] = attempt(job.work, job.parameters, code, *(done[key] for key in job.needs))
-        settle(job, done[job.key], 0)
+        settle(job, done[job.key], lambda: 0)
 
 
 def attempt(work: Work, parameters: dict[str, Any], code: str, *needs: Outcome) -> Outcome:
@@ -232,6 +234,7 @@ def _pending(jobs: Sequence[Job], done: set[str]) -> list[Job]:
 def _run_on_dask(jobs: Sequence[Job], engine: Engine, code: str, settle: Callable[..., None]) -> None:
     with ExitStack() as stack:
         client = _connect(engine, len(jobs), stack)
+        n_workers = partial(_n_workers, client, engine)
         run = uuid.uuid4().hex[:8]  # a scheduler that serves several commands keeps their jobs apart
         futures: dict[str, Any] = {}
 
@@ -256,11 +259,11 @@ def _run_on_dask(jobs: Sequence[Job], engine: Engine, code: str, settle: Callabl
             if _is_killed(future):
                 killed.append(job)
             else:
-                settle(job, _outcome_of(future, engine), _n_workers(client))
+                settle(job, _outcome_of(future, engine), n_workers)
         # A process that dies takes along what merely waited for it: each of them is tried once more, alone.
         for job in sorted(killed, key=jobs.index):
             for _, future in submit([job], 2):
-                settle(job, _outcome_of(future, engine), _n_workers(client))
+                settle(job, _outcome_of(future, engine), n_workers)
 
 
 def _arrivals(arrived: Any, n_left: int, client: Any, engine: Engine) -> Iterator[tuple[Job, Any]]:
@@ -273,7 +276,7 @@ def _arrivals(arrived: Any, n_left: int, client: Any, engine: Engine) -> Iterato
         except queue.Empty:
             if client.status != "running":
                 raise _scheduler_left(engine) from None
-            if _n_workers(client):
+            if _n_workers(client, engine):
                 alone_since = time.monotonic()
             elif time.monotonic() - alone_since > engine.patience_s:
                 raise MocapError(
@@ -283,11 +286,14 @@ def _arrivals(arrived: Any, n_left: int, client: Any, engine: Engine) -> Iterato
 
 
 def _connect(engine: Engine, n_jobs: int, stack: ExitStack) -> Any:
-    """A client of the given scheduler, or of a cluster on this machine that nobody else can reach."""
+    """A client of the given scheduler, or of a cluster on this machine that nobody else can reach: neither from another
+    machine nor, without the keys in this process' memory, as another user of this one."""
     try:
         import dask
-        from distributed import Client, LocalCluster
+        from distributed import Client, LocalCluster, Security
         from distributed.system import MEMORY_LIMIT
+
+        keys = Security.temporary() if engine.scheduler is None else None
     except ImportError as error:
         raise MissingExtra(
             "sweeps and batches need dask.distributed",
@@ -299,14 +305,14 @@ def _connect(engine: Engine, n_jobs: int, stack: ExitStack) -> Any:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     if engine.scheduler is not None:
         try:
-            return stack.enter_context(
-                Client(engine.scheduler, timeout=_CONNECT_S, set_as_default=False, name="mocap")
-            )
+            client = Client(engine.scheduler, timeout=_CONNECT_S, set_as_default=False, name="mocap")
         except (OSError, ValueError, RuntimeError) as error:
             raise MocapError(
                 f"no dask scheduler answers at {engine.scheduler}: {error}",
                 remedy="start one with `dask scheduler`, and give its address as --scheduler tcp://HOST:8786",
             ) from error
+        stack.callback(_close, client)
+        return client
     n_workers = engine.n_workers or max(1, min(os.cpu_count() or 1, n_jobs))
     # Jobs of a dead worker are tried again by us, one at a time.
     stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 0}))
@@ -318,6 +324,8 @@ def _connect(engine: Engine, n_jobs: int, stack: ExitStack) -> Any:
             n_workers=n_workers,
             threads_per_worker=1,
             processes=True,
+            protocol="tls",
+            security=keys,
             host="127.0.0.1",
             # Without an address dask listens on all interfaces, even where no dashboard can be drawn.
             dashboard_address="127.0.0.1:0",
@@ -329,8 +337,18 @@ def _connect(engine: Engine, n_jobs: int, stack: ExitStack) -> Any:
     return stack.enter_context(Client(cluster, set_as_default=False, name="mocap"))
 
 
-def _n_workers(client: Any) -> int:
-    return len(client.scheduler_info(n_workers=-1)["workers"])
+def _close(client: Any) -> None:
+    # A scheduler that does not answer is no reason to keep the user from reading why.
+    with suppress(TimeoutError):
+        client.close()
+
+
+def _n_workers(client: Any, engine: Engine) -> int:
+    try:
+        about = client.sync(client.scheduler.identity, n_workers=0, callback_timeout=_ANSWER_S)
+    except (OSError, AttributeError) as lost:  # the client lets go of a scheduler that has closed
+        raise _scheduler_left(engine) from lost
+    return int(about["n_workers"])
 
 
 def _is_killed(future: Any) -> bool:
@@ -340,7 +358,7 @@ def _is_killed(future: Any) -> bool:
 def _outcome_of(future: Any, engine: Engine) -> Outcome:
     if future.status == "finished":
         try:
-            outcome: Outcome = future.result()
+            outcome: Outcome = future.result(timeout=_ANSWER_S)
         except (OSError, CancelledError) as lost:  # the job is done, but nobody is left to fetch it from
             raise _scheduler_left(engine) from lost
         return outcome
