@@ -69,6 +69,8 @@ LAZY = frozenset(
         "embreex",
         "open3d",
         "trimesh",
+        "skimage",
+        "pxr",
         "motmetrics",
         "dask",
         "distributed",

@@ -115,17 +115,20 @@ def _open_viewer(scene: Path) -> None:
 def export(
     result: Annotated[Path, typer.Argument(help="Output folder of a run.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
-    what: Annotated[str, typer.Option("--what", help="voxels or motion.")] = "voxels",
+    what: Annotated[str, typer.Option("--what", help="voxels, mesh (of the hull) or motion.")] = "voxels",
     format: Annotated[
         str | None,
-        typer.Option("--format", help="voxels: ply, npz, glb; motion: bvh, trc, c3d, glb, mot, osim."),
+        typer.Option(
+            "--format",
+            help="voxels: ply, npz, glb; mesh: ply, glb; motion: bvh, trc, c3d, glb, usd, mot, osim, nc, bids.",
+        ),
     ] = None,
     frames: FramesOption = None,
     cubes: Annotated[
         bool, typer.Option("--cubes", help="PLY with coloured cubes instead of points.")
     ] = False,
     bones: Annotated[
-        str, typer.Option("--bones", help="Names of bones in BVH and GLB: mocap, mixamo, vrm or unreal.")
+        str, typer.Option("--bones", help="Names of bones in BVH, GLB and USD: mocap, mixamo, vrm or unreal.")
     ] = "mocap",
     markers: Annotated[
         str,
@@ -136,8 +139,11 @@ def export(
     fill: Annotated[
         bool, typer.Option("--fill", help="TRC without gaps; person_N_filled.csv lists what was filled.")
     ] = False,
+    task: Annotated[
+        str | None, typer.Option("--task", help="What BIDS calls the recording; else the session's name.")
+    ] = None,
 ) -> None:
-    """Coloured voxels per frame, or motion, from a finished run, for other tools."""
+    """Coloured voxels or meshes per frame, or motion, from a finished run, for other tools."""
     from mocap.io.formats import BONE_NAMES, MARKER_NAMES
     from mocap.pipeline.export import EXPORTS, export_run
     from mocap.pipeline.outputs import MotionStyle
@@ -155,7 +161,7 @@ def export(
             format=format,
             frames=parse_frames(frames),
             cubes=cubes,
-            style=MotionStyle(bones, markers, fill),  # type: ignore[arg-type]
+            style=MotionStyle(bones, markers, fill, task),  # type: ignore[arg-type]
             progress=progress,
         )
     more = f" ... {written[-1].name}" if len(written) > 1 else ""

@@ -3,6 +3,7 @@
 from mocap.data.angles import AngleSeries
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.hierarchy import Hierarchy, Level, Limb
+from mocap.data.mesh import ColouredMesh
 from mocap.data.motion import (
     ALL_LANDMARKS,
     BONES,
@@ -28,6 +29,7 @@ __all__ = [
     "ArticulatedProblem",
     "Camera",
     "CameraRig",
+    "ColouredMesh",
     "Hierarchy",
     "Hull",
     "Level",

@@ -236,7 +236,7 @@ class MarkersConfig(_Section):
 class OutputConfig(_Section):
     """What is written beside the CSV files."""
 
-    formats: tuple[Literal["bvh", "trc", "c3d", "glb", "mot", "osim", "rrd", "report"], ...] = (
+    formats: tuple[Literal["bvh", "trc", "c3d", "glb", "usd", "mot", "osim", "rrd", "report"], ...] = (
         "bvh",
         "trc",
         "c3d",

@@ -28,7 +28,8 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 # What an extra brings, and what cannot be done without it.
 _EXTRAS = {
     "synth": ("embreex", "synthetic sessions and `mocap demo`"),
-    "export": ("ezc3d", "C3D files"),
+    "export": ("ezc3d", "C3D files and meshes of hulls"),
+    "usd": ("pxr", "USD files"),
     "view": ("rerun", "scene.rrd and `mocap view`"),
     "cluster": ("distributed", "`mocap sweep` and `mocap batch` with several workers"),
 }

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import Hull, Motion
+from mocap.data import Hull
 from mocap.errors import MocapError
 from mocap.files import load_json
 from mocap.io._files import writing
-from mocap.io.formats import voxels
+from mocap.io.formats import voxels, write_bids_motion, write_mesh, write_movement
 from mocap.io.store import StageStore
 from mocap.pipeline.outputs import MotionStyle, motion_writers
 from mocap.pose.result import PersonPoses, motion_of
@@ -22,6 +23,7 @@ from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
 from mocap.products.one_run import check_one_run
 from mocap.products.poses import stored_poses
 from mocap.progress import Progress, no_progress
+from mocap.volume import hull_mesh
 
 Frames = tuple[int | None, int | None]
 
@@ -29,8 +31,17 @@ _PLAIN = MotionStyle()
 # What can be exported -> formats, the first by default.
 EXPORTS: dict[str, tuple[str, ...]] = {
     "voxels": ("ply", "npz", "glb"),
-    "motion": ("bvh", "trc", "c3d", "glb", "mot", "osim"),
+    "mesh": ("ply", "glb"),
+    "motion": ("bvh", "trc", "c3d", "glb", "usd", "mot", "osim", "nc", "bids"),
 }
+
+
+class HullWriter(NamedTuple):
+    """What writes the hull of one frame as STEM_000012.SUFFIX."""
+
+    stem: str
+    suffix: str
+    write: Callable[[Path, Hull], None]
 
 
 def export_run(
@@ -44,7 +55,7 @@ def export_run(
     style: MotionStyle = _PLAIN,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Write voxels or motion of the run in `out` into `folder`; returns the files.
+    """Write voxels, meshes of the hull, or motion of the run in `out` into `folder`; returns the files.
 
     what, format : see EXPORTS; format None = the first one.  frames : (start, stop) in frames of the session, either
     may be None. Motion holds the frames that a person was followed in.  cubes : voxels in PLY as coloured faces.
@@ -58,18 +69,38 @@ def export_run(
         raise MocapError(
             f"{what} cannot be written as {chosen!r}", remedy=f"use one of {', '.join(EXPORTS[what])}"
         )
-    check_one_run(out, PRODUCT if what == "voxels" else poses_product.PRODUCT)
+    check_one_run(out, PRODUCT if what in ("voxels", "mesh") else poses_product.PRODUCT)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     store = StageStore(out / "store.zarr")
     tick = progress or no_progress
-    if what == "voxels":
-        return _export_voxels(store, folder, chosen, frames, cubes, tick)
-    return _export_motion(store, folder, chosen, frames, _fps_of_run(out), style, tick)
+    if what != "motion":
+        return _export_hulls(store, folder, _hull_writers(cubes)[what, chosen], frames, tick)
+    fps, session = _rate_and_session(out)
+    if chosen in ("nc", "bids"):
+        return _export_together(store, folder, chosen, frames, fps, style.task or session)
+    return _export_motion(store, folder, chosen, frames, fps, style, tick)
 
 
-def _export_voxels(
-    store: StageStore, folder: Path, format: str, frames: Frames | None, cubes: bool, progress: Progress
+def _hull_writers(cubes: bool) -> dict[tuple[str, str], HullWriter]:
+    """Kind and format -> how files begin and end, and what writes one."""
+    return {
+        ("voxels", "ply"): HullWriter(
+            "voxels", ".ply", lambda path, hull: voxels.write_voxels_ply(path, hull, cubes=cubes)
+        ),
+        ("voxels", "npz"): HullWriter("voxels", ".npz", voxels.write_voxels_npz),
+        ("voxels", "glb"): HullWriter("voxels", ".glb", voxels.write_voxels_glb),
+        **{
+            ("mesh", suffix): HullWriter(
+                "mesh", f".{suffix}", lambda path, hull: write_mesh(path, hull_mesh(hull))
+            )
+            for suffix in EXPORTS["mesh"]
+        },
+    }
+
+
+def _export_hulls(
+    store: StageStore, folder: Path, writer: HullWriter, frames: Frames | None, progress: Progress
 ) -> list[Path]:
     """One file per frame, voxels_000012.ply."""
     reader = store.reader(PRODUCT)
@@ -77,15 +108,10 @@ def _export_voxels(
     chosen = [int(f) for f in reader.frames if _is_in(int(f), frames)]
     if not chosen:
         raise _no_frames(frames, int(reader.frames[0]), int(reader.frames[-1]))
-    write: dict[str, Callable[[Path, Hull], None]] = {
-        "ply": lambda path, hull: voxels.write_voxels_ply(path, hull, cubes=cubes),
-        "npz": voxels.write_voxels_npz,
-        "glb": voxels.write_voxels_glb,
-    }
     written = []
     for i, frame in enumerate(chosen):
-        path = folder / f"voxels_{frame:06d}.{format}"
-        write[format](path, hull_from_arrays(grid, reader.read(frame)))
+        path = folder / f"{writer.stem}_{frame:06d}{writer.suffix}"
+        writer.write(path, hull_from_arrays(grid, reader.read(frame)))
         written.append(path)
         progress("export", i + 1, len(chosen))
     return written
@@ -101,31 +127,43 @@ def _export_motion(
     progress: Progress,
 ) -> list[Path]:
     """One file per person, person_1.bvh."""
-    people = stored_poses(store)
+    people = _people_in(store, frames)
     written = []
     for i, poses in enumerate(people):
-        keep = np.array([_is_in(int(f), frames) for f in poses.frames], dtype=np.bool_)
-        if not keep.any():
-            continue
         path = folder / f"person_{poses.person}.{format}"
-        _write_person(path, format, poses, keep, fps, style)
+        motion_writers(poses, motion_of(poses, fps), fps, style)[format](path)
         written.append(path)
         progress("export", i + 1, len(people))
-    if not people:
-        raise MocapError("the run has found no person", remedy="look at its report.html")
-    if not written:
-        seen = np.concatenate([p.frames for p in people])
-        raise _no_frames(frames, int(seen.min()), int(seen.max()))
     return written
 
 
-def _write_person(
-    path: Path, format: str, poses: PersonPoses, keep: NDArray[np.bool_], fps: float, style: MotionStyle
-) -> None:
+def _export_together(
+    store: StageStore, folder: Path, format: str, frames: Frames | None, fps: float, task: str
+) -> list[Path]:
+    """All persons in one file or data set."""
+    motions = [motion_of(poses, fps) for poses in _people_in(store, frames)]
+    if format == "bids":
+        return write_bids_motion(folder, motions, fps, task)
+    write_movement(folder / "motion.nc", motions, fps)
+    return [folder / "motion.nc"]
+
+
+def _people_in(store: StageStore, frames: Frames | None) -> list[PersonPoses]:
+    """The persons in the range; those without a frame there are left out."""
+    people = stored_poses(store)
+    if not people:
+        raise MocapError("the run has found no person", remedy="look at its report.html")
+    cut = [_cut(p, np.array([_is_in(int(f), frames) for f in p.frames], dtype=np.bool_)) for p in people]
+    present = [p for p in cut if len(p.frames)]
+    if not present:
+        seen = np.concatenate([p.frames for p in people])
+        raise _no_frames(frames, int(seen.min()), int(seen.max()))
+    return present
+
+
+def _cut(poses: PersonPoses, keep: NDArray[np.bool_]) -> PersonPoses:
     """One person in the frames to keep, (T,)."""
-    motion = motion_of(poses, fps)
-    kept = Motion(motion.person, motion.frames[keep], motion.time_s[keep], motion.landmarks[keep])
-    shown = replace(
+    return replace(
         poses,
         frames=poses.frames[keep],
         states=poses.states[keep],
@@ -133,7 +171,6 @@ def _write_person(
         observed=poses.observed[keep],
         landmark_covariance=poses.landmark_covariance[keep],
     )
-    motion_writers(shown, kept, fps, style)[format](path)
 
 
 def _is_in(frame: int, frames: Frames | None) -> bool:
@@ -148,9 +185,11 @@ def _no_frames(frames: Frames | None, first: int, last: int) -> MocapError:
     )
 
 
-def _fps_of_run(out: Path) -> float:
+def _rate_and_session(out: Path) -> tuple[float, str]:
+    """Frames a second of the run, and what its session is called."""
     try:
-        return float(load_json(out / "run.json")["fps"])
+        about = load_json(out / "run.json")
+        return float(about["fps"]), str(about.get("session", "session"))
     except (MocapError, ValueError, KeyError, TypeError) as error:
         raise MocapError(
             "the frame rate of the run is not known",

@@ -27,6 +27,7 @@ from mocap.io.formats import (
     write_glb,
     write_mot,
     write_trc,
+    write_usd,
 )
 from mocap.io.formats.opensim import write_ik_setup, write_marker_set, write_osim, write_scale_setup
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
@@ -50,12 +51,13 @@ STEP_COLUMNS = (
 
 @dataclass(frozen=True)
 class MotionStyle:
-    """How motion is written: names of bones and markers, whether gaps of a TRC are filled, how angles and contacts are
-    found."""
+    """How motion is written: names of bones and markers, whether gaps of a TRC are filled, the task in BIDS
+    (None: the name of the session), how angles and contacts are found."""
 
     bone_names: BoneNames = "mocap"
     marker_names: MarkerNames = "mocap"
     is_filled: bool = False
+    task: str | None = None
     angles: AngleSettings = field(default_factory=AngleSettings)
     contact: ContactSettings = field(default_factory=ContactSettings)
 
@@ -115,8 +117,8 @@ def write_exports(found: Found, config: Config, folder: Path, *, progress: Progr
         output.bone_names,
         output.marker_names,
         output.trc_gaps == "filled",
-        config.method.angles,
-        config.method.contact,
+        angles=config.method.angles,
+        contact=config.method.contact,
     )
     steps: list[tuple[Path, Callable[[Path], None]]] = []
     for poses, motion in zip(found.poses, found.motions, strict=True):
@@ -148,6 +150,7 @@ def motion_writers(
     return {
         "bvh": partial(write_bvh, skeleton=skeleton, fps=fps),
         "glb": lambda path: write_glb(path, skeleton, fps, body_skin(poses.body)),
+        "usd": lambda path: write_usd(path, skeleton, fps, body_skin(poses.body)),
         "trc": partial(
             write_trc, motion=motion, fps=fps, markers=style.marker_names, is_filled=style.is_filled
         ),

@@ -13,6 +13,7 @@ from mocap.volume.colour import colour_hull, visible_views
 from mocap.volume.components import connected_components
 from mocap.volume.consistency import ConsistencyMonitor, SilhouetteEvidence
 from mocap.volume.grid import choose_grid, look_at_point
+from mocap.volume.mesh import hull_mesh
 from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_cells, no_occluders
 from mocap.volume.residuals import SilhouetteResiduals, silhouette_residuals
 from mocap.volume.second_look import SecondLook
@@ -39,6 +40,7 @@ __all__ = [
     "find_camera_faults",
     "find_faults",
     "find_misfits",
+    "hull_mesh",
     "learn_occluders",
     "look_at_point",
     "masks_by_cells",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from pathlib import Path
 
@@ -46,6 +47,15 @@ def test_a_file_per_frame_of_the_range(result: Path, tmp_path: Path, format: str
             np.testing.assert_array_equal(found["voxels"], [10, 11, 12, 13])
 
 
+@pytest.mark.parametrize("format", ["ply", "glb"])
+def test_a_mesh_per_frame(result: Path, tmp_path: Path, format: str) -> None:
+    pytest.importorskip("skimage", reason="scikit-image: the extra `export`")
+    said = mocap("export", result, "-o", tmp_path / "x", "--what", "mesh", "--format", format)
+    assert said.code == 0, said.err
+    names = sorted(p.name for p in (tmp_path / "x").iterdir())
+    assert names == [f"mesh_{f:06d}.{format}" for f in FRAMES]
+
+
 def test_cubes(result: Path, tmp_path: Path) -> None:
     assert mocap("export", result, "-o", tmp_path, "--cubes", "--frames", "7:8").code == 0
     assert b"element face" in (tmp_path / "voxels_000007.ply").read_bytes()
@@ -54,7 +64,7 @@ def test_cubes(result: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--what", "nothing"), ("nothing", "voxels, motion")),
+        (("--what", "nothing"), ("nothing", "voxels, mesh, motion")),
         (("--format", "bvh"), ("bvh", "ply, npz, glb")),
         (("--frames", "20:30"), ("no frame", "7:11")),
         (("--what", "motion"), ("pose", "run")),
@@ -72,6 +82,34 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     said = mocap("export", tmp_path, "-o", tmp_path / "x")
     assert said.code == 2
     assert "no result of a run" in said.err
+
+
+@pytest.mark.slow
+def test_all_formats_hold_what_landmarks_csv_holds(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """One run, and every format of all persons from the command line, against the table of the run."""
+    from scipy.io import netcdf_file
+
+    from mocap.io.tables import read_landmarks_csv
+
+    session = small_session(tmp_path_factory.getbasetemp())
+    out, folder = tmp_path / "out", tmp_path / "x"
+    assert mocap("run", session, "-o", out, *set_options(PLAIN)).code == 0
+    (truth,) = read_landmarks_csv(out / "landmarks.csv")
+    for format in ("nc", "bids", *(("usd",) if importlib.util.find_spec("pxr") else ())):
+        options = ("--task", "walk") if format == "bids" else ()
+        said = mocap("export", out, "-o", folder, "--what", "motion", "--format", format, *options)
+        assert said.code == 0, said.err
+    with netcdf_file(folder / "motion.nc", "r", mmap=False) as file:
+        places = file.variables["position"][:, :, :, 0].transpose(0, 2, 1)
+        time_s = file.variables["time"][:].copy()
+    np.testing.assert_allclose(time_s, truth.time_s, atol=1e-6)
+    np.testing.assert_allclose(places, truth.landmarks, atol=1e-4)  # the table has tenths of a millimetre
+    table = np.loadtxt(folder / "sub-01/motion/sub-01_task-walk_tracksys-mocap_motion.tsv")
+    np.testing.assert_allclose(table[:, 1:].reshape(-1, 15, 3), truth.landmarks, atol=1e-4)
+    if importlib.util.find_spec("pxr"):
+        assert (folder / "person_1.usd").stat().st_size > 10_000
 
 
 @pytest.mark.slow

@@ -3,15 +3,19 @@
 Every file is written whole or not at all, and the same input gives the same bytes.
 """
 
+from mocap.io.formats.bids import write_bids_motion
 from mocap.io.formats.bone_names import BONE_NAMES, BoneNames, renamed
 from mocap.io.formats.bvh import write_bvh
 from mocap.io.formats.c3d import Event, write_c3d
 from mocap.io.formats.gltf import write_glb
 from mocap.io.formats.marker_names import MARKER_NAMES, MarkerNames, marker_names
+from mocap.io.formats.mesh import write_mesh
 from mocap.io.formats.mot import write_mot
+from mocap.io.formats.movement import write_movement
 from mocap.io.formats.readers import read_poses
 from mocap.io.formats.table import PoseFile, PoseTable
 from mocap.io.formats.trc import write_trc
+from mocap.io.formats.usd import write_usd
 
 # What a reader must know of each format and what TRC, BVH and C3D have no agreed field for.
 EXPORT_CONVENTIONS: dict[str, dict[str, str]] = {
@@ -33,9 +37,13 @@ __all__ = [
     "marker_names",
     "read_poses",
     "renamed",
+    "write_bids_motion",
     "write_bvh",
     "write_c3d",
     "write_glb",
+    "write_mesh",
     "write_mot",
+    "write_movement",
     "write_trc",
+    "write_usd",
 ]

@@ -34,7 +34,7 @@ def write_glb(path: Path, skeleton: Skeleton, fps: float, skin: Skin | None = No
     check_fps(fps)
     order = root_and_order(skeleton)
     rotations, root, offsets = animated(skeleton)
-    quaternions = _quaternions(rotations)
+    quaternions = quaternions_of(rotations)
     name = f"person_{skeleton.person}"
     binary = _Binary()
     n_joints = len(skeleton.names)
@@ -238,7 +238,7 @@ def glb_container(document: dict[str, Any], binary: bytes) -> bytes:
     )
 
 
-def _quaternions(rotations: Array) -> Array:
+def quaternions_of(rotations: Array) -> Array:
     """Unit quaternions (T, J, 4) as x, y, z, w; neighbours in time lie in one hemisphere."""
     from scipy.spatial.transform import Rotation
 

@@ -130,7 +130,7 @@ def write_voxels_glb(path: Path, hull: Hull) -> None:
     positions = (corners.reshape(-1, 3) @ ANIMATION_FROM_WORLD.T).astype("<f4")
     directions = (np.repeat(normals, 4, axis=0) @ ANIMATION_FROM_WORLD.T).astype("<f4")
     # glTF wants linear light; the fourth byte keeps every element on a multiple of four.
-    linear = np.round(255.0 * _linear_from_srgb(rgb / 255.0)).astype(np.uint8)
+    linear = np.round(255.0 * linear_from_srgb(rgb / 255.0)).astype(np.uint8)
     colours = np.full((n, 4), 255, dtype=np.uint8)
     colours[:, :3] = np.repeat(linear, 4, axis=0)
     triangles = (np.arange(0, n, 4)[:, None] + np.array([0, 1, 2, 0, 2, 3])).astype("<u4")
@@ -169,6 +169,6 @@ def write_voxels_glb(path: Path, hull: Hull) -> None:
     write_bytes(path, glb_container(document, b"".join(b.tobytes() for b in blocks)))
 
 
-def _linear_from_srgb(values: Array) -> Array:
+def linear_from_srgb(values: Array) -> Array:
     """sRGB in [0, 1] -> linear light in [0, 1]."""
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
