@@ -286,12 +286,12 @@ class StageReader:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def read(self, frame: int) -> dict[str, NDArray[Any]]:
-        """The arrays of one frame. Raises KeyError when the frame was not written."""
+    def read(self, frame: int, names: Sequence[str] | None = None) -> dict[str, NDArray[Any]]:
+        """The arrays of one frame, or those of some names. Raises KeyError when the frame was not written."""
         if frame not in self._row:
             raise KeyError(f"frame {frame} is not in the product, which has {len(self.frames)} frames")
         i = self._row[frame]
-        return {name: column.read(i) for name, column in self._columns.items()}
+        return {name: self._columns[name].read(i) for name in names or self.names}
 
     def __iter__(self) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
         for frame in self.frames:

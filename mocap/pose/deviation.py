@@ -23,22 +23,43 @@ def landmark_kind(name: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class FrameSeries:
-    """What the filter has found of one person in T frames, each on its own.
+    """What the filter has found of one person in T frames, each on its own; no more of a frame is kept than this.
 
-    states : (T, D).  information : (T, D, D) inverse covariance of the refined state, 0 where there is none.
-    spread : (T, M, 3, 3) m^2, of the particles about the estimate.  misfit : (T, P) nats >= 0, how badly every part
-    fits the volume.  unexplained : (T,) share of the hull's surface that lies far from the body.  blind_std : (T,) m,
-    what a pose that was carried on has gained since the last hull, 0 = seen.  hidden_std : (T, M) m, the same for a
-    landmark that too few cameras could judge while others saw the rest.
+    states : (T, D).  fit_covariance : (T, M, 3, 3) m^2, of the landmarks, as the frame's own fit has it.  misfit :
+    (T, P) nats >= 0, how badly every part fits the volume.  unexplained : (T,) share of the hull's surface that lies
+    far from the body.  blind_std : (T,) m, what a pose that was carried on has gained since the last hull, 0 = seen.
+    hidden_std : (T, M) m, the same for a landmark that too few cameras could judge while others saw the rest.
+    doubtful : (T, M) bool, landmarks that another pose, which explains the frame about as well, has elsewhere.
+    observed, log_likelihood, ess_share : as in `PersonPoses`.
     """
 
     states: Array
-    information: Array
-    spread: Array
+    fit_covariance: Array
     misfit: Array
     unexplained: Array
     blind_std: Array
     hidden_std: Array
+    observed: NDArray[np.bool_]
+    doubtful: NDArray[np.bool_]
+    log_likelihood: Array
+    ess_share: Array
+
+    @classmethod
+    def of_length(cls, n: int, body: Body) -> FrameSeries:
+        """Room for n frames."""
+        D, P, M = body.layout.n_columns, body.layout.n_parts, len(body.landmarks)
+        return cls(
+            states=np.zeros((n, D)),
+            fit_covariance=np.zeros((n, M, 3, 3)),
+            misfit=np.zeros((n, P)),
+            unexplained=np.zeros(n),
+            blind_std=np.zeros(n),
+            hidden_std=np.zeros((n, M)),
+            observed=np.zeros((n, M), dtype=np.bool_),
+            doubtful=np.zeros((n, M), dtype=np.bool_),
+            log_likelihood=np.zeros(n),
+            ess_share=np.zeros(n),
+        )
 
     def __len__(self) -> int:
         return len(self.states)
@@ -73,31 +94,31 @@ def landmark_misfit(
     return limb_misfit(body.layout, series.misfit, most_nats)[:, body.landmark_parts]
 
 
-def landmark_covariances(
-    body: Body, series: FrameSeries, settings: DeviationSettings, *, is_refined: bool
-) -> Array:
-    """Covariance of every landmark, (T, M, 3, 3) m^2.
+def landmark_covariances(body: Body, series: FrameSeries, settings: DeviationSettings) -> Array:
+    """Covariance of every landmark, (T, M, 3, 3) m^2: that of the fit of its frame, and what the fit does not know.
 
-    is_refined : the covariance of the fit, from its normal matrix, and what the fit does not know: the body's own
-    errors, and the chance that a limb which fits badly is lost (`DeviationSettings.of_landmark`). Otherwise the spread
-    of the particles takes the place of the fit's. A hull that the body does not explain, a pose that was carried on and
-    a landmark that could not be seen add to both.
+    That are the body's own errors, the chance that a limb which fits badly is lost (`DeviationSettings.of_landmark`), a
+    hull that the body does not explain, a pose that was carried on and a landmark that could not be seen.
     """
     floor, per_nat = np.array([settings.of_landmark[landmark_kind(name)] for name in body.landmarks]).T
     misfit = landmark_misfit(body, series, settings.most_misfit_nats)
     own = (
         floor**2 + (per_nat * misfit) ** 2 + astray_variance(series, settings)[:, None] + series.hidden_std**2
     )
-    out = own[:, :, None, None] * np.eye(3)
-    if not is_refined:
-        return np.asarray(out + series.spread)
+    return np.asarray(own[:, :, None, None] * np.eye(3) + series.fit_covariance)
+
+
+def fit_covariance(body: Body, state: Array, information: Array, settings: DeviationSettings) -> Array:
+    """Covariance of the landmarks (M, 3, 3) m^2 of a state (D,) fitted to a frame, 0 where nothing was fitted.
+
+    information : (D, D) inverse covariance of the state, 0 where there is none; what it does not tell is as wide as
+    `weak_std_m` and `weak_std_rad`.
+    """
+    if not information.any():
+        return np.zeros((len(body.landmarks), 3, 3))
     weak = np.where(body.is_position, settings.weak_std_m, settings.weak_std_rad) ** -2.0
-    for i in range(len(series)):
-        if series.information[i].any():
-            _, J, _ = point_jacobian(body, series.states[i], body.landmark_joint, body.landmark_offset)
-            state = np.linalg.inv(series.information[i] + np.diag(weak))
-            out[i] += np.einsum("lri,ij,lcj->lrc", J, state, J)
-    return np.asarray(out)
+    _, J, _ = point_jacobian(body, state, body.landmark_joint, body.landmark_offset)
+    return np.asarray(np.einsum("lri,ij,lcj->lrc", J, np.linalg.inv(information + np.diag(weak)), J))
 
 
 def widened(covariance: Array, rig_offset_m: float, settings: DeviationSettings) -> Array:

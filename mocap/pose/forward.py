@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body import Body
 from mocap.body.initial import HeightEstimate
 from mocap.data import VoxelGrid
 from mocap.pose.follow import FramePose, OnePose, follow_frame
@@ -87,9 +86,9 @@ class ForwardPerson:
         self._last_s: float | None = None
 
     @property
-    def body(self) -> Body | None:
-        """The person's body; None while the size is not known."""
-        return None if self._known is None else self._known.tools.body
+    def tools(self) -> VolumeTools | None:
+        """With the person's body; None while its size is not known."""
+        return None if self._known is None else self._known.tools
 
     def see(self, seen: Sighting) -> FramePose | None:
         """The pose at this time; None while the first one is looked for."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate
-from mocap.pose.deviation import FrameSeries, landmark_covariances
+from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
 from mocap.pose.evidence import PersonClip
 from mocap.pose.follow import FramePose, both_ways, follow_pose, unbroken
 from mocap.pose.limbs import in_doubt
@@ -174,19 +174,16 @@ def follow_person(
     if settings.refine:
         observation = observation.learning()
     clip = replace(clip, observation=observation)
-    poses = _followed(clip, start.first, seed=seed, progress=progress)
+    series = _followed(clip, start.first, seed=seed, progress=progress)
     if settings.repair and settings.refine:
         with part("repair"):
-            _repair(clip, poses)
-    series = series_of(poses)
+            _repair(clip, series)
     states = series.states
     if settings.smooth_lag_frames:
         lag, method = settings.smooth_lag_frames, settings.method
         pieces = [series.rows(piece) for piece in unbroken(clip.frames)]
         with part("smooth"):
             states = np.concatenate([smooth_motion(tools.body, p, tools.fps, lag, method) for p in pieces])
-    observed = np.array([pose.observed for pose in poses])
-    log_likelihood = np.array([pose.log_likelihood for pose in poses])
     numbers = settings.method.start
     trial = start.trial
     warnings = warnings_of_volumes(
@@ -194,9 +191,6 @@ def follow_person(
         n_blind=len(clip) - start.n_usable,
         series=series,
         frames=clip.frames,
-        observed=observed,
-        doubtful=np.array([pose.doubtful for pose in poses]),
-        log_likelihood=log_likelihood,
         height=start.height,
         is_facing_open=len(trial) > 1 and abs(trial[0] - trial[1]) < numbers.clear_facing_nats,
         crowded_share=numbers.crowded_share,
@@ -208,12 +202,10 @@ def follow_person(
         frames=clip.frames,
         states=states,
         landmarks=landmarks_of(tools.body, states),
-        landmark_covariance=landmark_covariances(
-            tools.body, series, settings.method.deviation, is_refined=settings.refine
-        ),
-        observed=observed,
-        log_likelihood=log_likelihood,
-        ess_share=np.array([pose.ess_share for pose in poses]),
+        landmark_covariance=landmark_covariances(tools.body, series, settings.method.deviation),
+        observed=series.observed,
+        log_likelihood=series.log_likelihood,
+        ess_share=series.ess_share,
         start_frame=start.first.frame,
         first_pose=start.first.label,
         warnings=tuple(warnings),
@@ -223,25 +215,40 @@ def follow_person(
 
 def _followed(
     clip: VolumeClip, first: FirstPose, *, seed: int, progress: Callable[[int], None] | None
-) -> list[FramePose]:
+) -> FrameSeries:
     """The poses of all frames, from the first one to the end and back to the beginning."""
+    tools = clip.observation.tools
     start = int(np.searchsorted(clip.frames, first.frame))
-    found: dict[int, FramePose] = {}
+    series = FrameSeries.of_length(len(clip), tools.body)
     for way, order in both_ways(len(clip), start):
         for pose in follow_pose(clip, order, first.state, seed=seed, stage=f"pose{way}"):
-            if pose.row in found:
+            if way and pose.row == start:
                 continue  # the start was settled on the way forward
-            found[pose.row] = pose
+            note(series, pose.row, pose, tools)
             if progress is not None:
                 progress(1)
-    return [found[row] for row in range(len(clip))]
+    return series
+
+
+def note(series: FrameSeries, row: int, pose: FramePose, tools: VolumeTools) -> None:
+    """A frame's pose into its row of the series."""
+    series.states[row] = pose.state
+    series.fit_covariance[row] = (
+        fit_covariance(tools.body, pose.state, pose.information, tools.settings.method.deviation)
+        if tools.settings.refine
+        else pose.spread
+    )
+    for column in (
+        "misfit", "unexplained", "blind_std", "hidden_std", "observed", "doubtful", "log_likelihood", "ess_share",
+    ):  # fmt: skip
+        getattr(series, column)[row] = getattr(pose, column)
 
 
 def _shifted(evidence_of: Callable[[int], VolumeEvidence | None], by: int) -> EvidenceOf:
     return lambda row: evidence_of(by + row)
 
 
-def _repair(clip: VolumeClip, poses: list[FramePose]) -> None:
+def _repair(clip: VolumeClip, series: FrameSeries) -> None:
     """Carry limbs over jumps between frames that follow each other, in place, with the colours that are known now."""
     tools = clip.observation.tools
 
@@ -249,51 +256,34 @@ def _repair(clip: VolumeClip, poses: list[FramePose]) -> None:
         prepared = clip.observation.prepare(int(clip.frames[row]))
         return None if prepared is None else clip.observation.evidence(prepared)
 
-    states = np.array([pose.state for pose in poses])
     numbers = tools.settings.method.repair
     repaired: dict[int, Array] = {}
     for piece in unbroken(clip.frames):
         found = repair_limbs(
-            tools.body, states[piece], tools.fps, _shifted(evidence_of, piece.start), numbers
+            tools.body, series.states[piece], tools.fps, _shifted(evidence_of, piece.start), numbers
         )
         repaired |= {piece.start + row: state for row, state in found.items()}
     for row, state in repaired.items():
         evidence = evidence_of(row)
         if evidence is not None:
-            poses[row] = _with_state(poses[row], state, evidence)
+            _put_right(series, row, state, evidence)
 
 
-def _with_state(pose: FramePose, state: Array, evidence: VolumeEvidence) -> FramePose:
-    """A frame's pose with another state (D,); what the old one explains about as well is in doubt."""
-    numbers = evidence.tools.settings.method.legs
-    fit, old = evidence.fit(state), pose.state
+def _put_right(series: FrameSeries, row: int, state: Array, evidence: VolumeEvidence) -> None:
+    """Another state (D,) in a row of the series; what the old one explains about as well is in doubt."""
+    body, method = evidence.tools.body, evidence.tools.settings.method
+    fit, old = evidence.fit(state), series.states[row].copy()
     new_nats, old_nats = evidence.evidence([state, old])
-    is_clear = new_nats > old_nats + numbers.clear_nats
-    doubtful, doubt_std = in_doubt(evidence.tools.body, state, None if is_clear else old, numbers)
-    doubtful = doubtful | pose.doubtful
-    return replace(
-        pose,
-        state=state,
-        information=fit.information,
-        misfit=fit.misfit,
-        unexplained=fit.unexplained,
-        log_likelihood=fit.log_likelihood,
-        hidden_std=np.maximum(pose.hidden_std, doubt_std),
-        observed=fit.observed & ~doubtful,
-        doubtful=doubtful,
-    )
-
-
-def series_of(poses: Sequence[FramePose]) -> FrameSeries:
-    return FrameSeries(
-        states=np.array([pose.state for pose in poses]),
-        information=np.array([pose.information for pose in poses]),
-        spread=np.array([pose.spread for pose in poses]),
-        misfit=np.array([pose.misfit for pose in poses]),
-        unexplained=np.array([pose.unexplained for pose in poses]),
-        blind_std=np.array([pose.blind_std for pose in poses]),
-        hidden_std=np.array([pose.hidden_std for pose in poses]),
-    )
+    is_clear = new_nats > old_nats + method.legs.clear_nats
+    doubtful, doubt_std = in_doubt(body, state, None if is_clear else old, method.legs)
+    series.states[row] = state
+    series.fit_covariance[row] = fit_covariance(body, state, fit.information, method.deviation)
+    series.misfit[row] = fit.misfit
+    series.unexplained[row] = fit.unexplained
+    series.log_likelihood[row] = fit.log_likelihood
+    series.hidden_std[row] = np.maximum(series.hidden_std[row], doubt_std)
+    series.doubtful[row] |= doubtful
+    series.observed[row] = fit.observed & ~series.doubtful[row]
 
 
 def _sized(

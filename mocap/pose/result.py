@@ -70,20 +70,16 @@ def warnings_of_volumes(
     n_blind: int,
     series: FrameSeries,
     frames: NDArray[np.int64],
-    observed: NDArray[np.bool_],
-    doubtful: NDArray[np.bool_],
-    log_likelihood: Array,
     height: HeightEstimate,
     is_facing_open: bool,
     crowded_share: float,
 ) -> list[str]:
     """What the user has to know of poses found in volumes.
 
-    n_blind : frames without a usable hull.  doubtful : (T, M) bool, landmarks that another pose, which explains its
-    frame about as well, has elsewhere.  is_facing_open : two first poses explained the volumes almost equally well.
+    n_blind : frames without a usable hull.  is_facing_open : two first poses explained the volumes almost equally well.
     crowded_share : share of the hull's surface that nothing explains, from which poses are uncertain.
     """
-    n_total = len(series)
+    n_total, doubtful = len(series), series.doubtful
     warnings: list[str] = []
     if n_blind:
         warnings.append(
@@ -115,7 +111,7 @@ def warnings_of_volumes(
             f"person {person}: {', '.join(names)} are hidden from all cameras or all but one in frames "
             f"{_told(frames[hidden.any(axis=1)])}: they are marked as not observed, and deviations grow with the time"
         )
-    seldom = _seldom_observed(observed, log_likelihood)
+    seldom = _seldom_observed(series.observed, series.log_likelihood)
     if seldom:
         warnings.append(
             f"person {person}: {', '.join(seldom)} lie in the volume in less than half of the frames: it has holes "

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap.body import body_toml, model_of, scale_body
 from mocap.body.initial import HeightEstimate
-from mocap.body.model import load_body_model, parse_body_model
+from mocap.body.model import BodyModel, load_body_model, parse_body_model
 from mocap.body.stretch import lengths_of, with_lengths
-from mocap.io.store import StageStore
+from mocap.io.store import StageReader, StageStore
 from mocap.pose.result import PersonPoses
 
 PRODUCT = "pose"
@@ -48,10 +48,10 @@ def store_poses(store: StageStore, key: str, body_model: str, results: list[Pers
             for r in results
         },
     }
-    rows = sorted({int(f) for r in results for f in r.frames})
+    row_of = {r.person: {int(frame): i for i, frame in enumerate(r.frames)} for r in results}
     with store.writer(PRODUCT, key, attrs) as out:
-        for frame in rows:
-            present = [(r, int(np.searchsorted(r.frames, frame))) for r in results if frame in r.frames]
+        for frame in sorted(set().union(*row_of.values())):
+            present = [(r, row_of[r.person][frame]) for r in results if frame in row_of[r.person]]
             columns = {
                 name: np.array([getattr(r, field)[i] for r, i in present]) for name, field in _COLUMNS.items()
             }
@@ -79,32 +79,38 @@ def stored_poses(store: StageStore) -> list[PersonPoses]:
     """Poses of all persons from the store."""
     reader = store.reader(PRODUCT)
     model = parse_body_model(reader.attrs["body_model"], Path("store.zarr"))
-    rows: dict[int, list[tuple[int, dict[str, NDArray[np.generic]], int]]] = {}
-    for frame, arrays in reader:
-        for i, person in enumerate(arrays["person"]):
-            rows.setdefault(int(person), []).append((frame, arrays, i))
-    results = []
-    for name, about in reader.attrs["persons"].items():
-        own = rows[int(name)]
+    places: dict[int, list[tuple[int, int]]] = {int(name): [] for name in reader.attrs["persons"]}
+    for frame in reader.frames.tolist():
+        for i, person in enumerate(reader.read(frame, ["person"])["person"].tolist()):
+            places[person].append((frame, i))
+    return [
+        _stored_person(reader, person, own, reader.attrs["persons"][str(person)], model)
+        for person, own in places.items()
+    ]
 
-        def column(field: str, own: list = own) -> NDArray:  # type: ignore[type-arg]
-            return np.array([arrays[field][i] for _, arrays, i in own])
 
-        results.append(
-            PersonPoses(
-                person=int(name),
-                body=with_lengths(scale_body(model, about["height_m"]), about["lengths"]),
-                height=HeightEstimate(about["height_m"], about["height_is_measured"]),
-                frames=np.array([frame for frame, _, _ in own], dtype=np.int64),
-                states=column("state"),
-                landmarks=column("landmarks"),
-                landmark_covariance=column("covariance"),
-                observed=column("observed").astype(np.bool_),
-                log_likelihood=column("log_likelihood"),
-                ess_share=column("ess_share"),
-                start_frame=about["start_frame"],
-                first_pose=about["first_pose"],
-                warnings=tuple(about["warnings"]),
-            )
-        )
-    return results
+def _stored_person(
+    reader: StageReader,
+    person: int,
+    places: Sequence[tuple[int, int]],
+    about: dict[str, Any],
+    model: BodyModel,
+) -> PersonPoses:
+    """One person's poses.  places : of every frame, the frame and the person's row in it.  about : as stored."""
+    columns: dict[str, Any] = {}
+    for k, (frame, i) in enumerate(places):
+        for name, array in reader.read(frame, list(_COLUMNS)).items():
+            if k == 0:  # filled in place: an hour of them is not held twice
+                columns[_COLUMNS[name]] = np.empty((len(places), *array.shape[1:]), array.dtype)
+            columns[_COLUMNS[name]][k] = array[i]
+    columns["observed"] = columns["observed"].astype(np.bool_)
+    return PersonPoses(
+        person=person,
+        body=with_lengths(scale_body(model, about["height_m"]), about["lengths"]),
+        height=HeightEstimate(about["height_m"], about["height_is_measured"]),
+        frames=np.array([frame for frame, _ in places], dtype=np.int64),
+        **columns,
+        start_frame=about["start_frame"],
+        first_pose=about["first_pose"],
+        warnings=tuple(about["warnings"]),
+    )

@@ -240,17 +240,8 @@ def standing_series(n: int, sway_m: float) -> FrameSeries:
     body = scale_body(load_body_model("whole"), 1.75)
     states = np.tile(neutral_state(body), (n, 1))
     states[:, 0] += sway_m * np.sin(2 * np.pi * np.arange(n) / 24.0)
-    D, M = states.shape[1], len(body.landmarks)
-    zeros = np.zeros(n)
-    return FrameSeries(
-        states=states,
-        information=np.zeros((n, D, D)),
-        spread=np.zeros((n, M, 3, 3)),
-        misfit=np.ones((n, body.layout.n_parts)),
-        unexplained=zeros,
-        blind_std=zeros,
-        hidden_std=np.zeros((n, M)),
-    )
+    series = FrameSeries.of_length(n, body)
+    return replace(series, states=states, misfit=np.ones_like(series.misfit))
 
 
 def test_the_smoother_holds_a_planted_foot_and_lets_the_trunk_sway() -> None:

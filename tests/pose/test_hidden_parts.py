@@ -109,27 +109,24 @@ def test_hidden_landmarks_are_named_with_their_frames() -> None:
     hidden = np.zeros((3, len(LANDMARKS)))
     hidden[1:, ANKLE] = 0.1, 0.25
 
-    def told(series: FrameSeries, doubtful: np.ndarray) -> list[str]:
+    def told(series: FrameSeries) -> list[str]:
         return warnings_of_volumes(
             4,
             n_blind=0,
             series=series,
             frames=np.array([20, 21, 22]),
-            observed=np.ones((3, len(LANDMARKS)), dtype=np.bool_),
-            doubtful=doubtful,
-            log_likelihood=np.zeros(3),
             height=HeightEstimate(1.7, True),
             is_facing_open=False,
             crowded_share=0.4,
         )
 
-    nothing = np.zeros((3, len(LANDMARKS)), dtype=np.bool_)
-    assert told(series_of(states), nothing) == []
-    (warning,) = told(series_of(states, hidden_std=hidden), nothing)
+    seen = np.ones((3, len(LANDMARKS)), dtype=np.bool_)
+    assert told(series_of(states, observed=seen)) == []
+    (warning,) = told(series_of(states, observed=seen, hidden_std=hidden))
     assert warning.startswith(
         "person 4: right_ankle are hidden from all cameras or all but one in frames 21-22:"
     )
-    (warning,) = told(series_of(states, hidden_std=hidden), hidden > 0)
+    (warning,) = told(series_of(states, observed=seen, hidden_std=hidden, doubtful=hidden > 0))
     assert warning.startswith("person 4: right_ankle may be elsewhere in frames 21-22:")
 
 
@@ -137,8 +134,6 @@ def test_hidden_landmarks_have_larger_deviations() -> None:
     states = np.tile(neutral_state(BODY), (3, 1))
     hidden = np.zeros((3, len(LANDMARKS)))
     hidden[1:, ANKLE] = 0.1, 0.25
-    plain = landmark_covariances(BODY, series_of(states), DeviationSettings(), is_refined=True)
-    wider = landmark_covariances(
-        BODY, series_of(states, hidden_std=hidden), DeviationSettings(), is_refined=True
-    )
+    plain = landmark_covariances(BODY, series_of(states), DeviationSettings())
+    wider = landmark_covariances(BODY, series_of(states, hidden_std=hidden), DeviationSettings())
     np.testing.assert_allclose(wider - plain, (hidden**2)[..., None, None] * np.eye(3), atol=1e-12)

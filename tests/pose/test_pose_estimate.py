@@ -1,5 +1,7 @@
 """Smoothing of poses, their uncertainty, and the point estimates: closed forms and one-sided bounds."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 from flesh_voxels import make_flesh
@@ -15,14 +17,16 @@ from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose.deviation import (
     FrameSeries,
+    fit_covariance,
     fit_information,
     landmark_covariances,
     landmark_kind,
     limb_misfit,
     widened,
 )
-from mocap.pose.follow import point_estimate, unbroken
+from mocap.pose.follow import FramePose, point_estimate, unbroken
 from mocap.pose.method import UNCERTAINTY, DeviationSettings, Method
+from mocap.pose.person import note
 from mocap.pose.smooth import smooth_motion
 
 BODY = scale_body(load_body_model("anthropometric"), 1.77)
@@ -32,17 +36,8 @@ T = 22
 
 
 def series_of(states: np.ndarray, **changes: np.ndarray) -> FrameSeries:
-    n, D = states.shape
-    fields = {
-        "states": states,
-        "information": np.zeros((n, D, D)),
-        "spread": np.zeros((n, len(LANDMARKS), 3, 3)),
-        "misfit": np.ones((n, LAYOUT.n_parts)),
-        "unexplained": np.zeros(n),
-        "blind_std": np.zeros(n),
-        "hidden_std": np.zeros((n, len(LANDMARKS))),
-    }
-    return FrameSeries(**(fields | changes))
+    series = FrameSeries.of_length(len(states), BODY)
+    return replace(series, **({"states": states, "misfit": np.ones_like(series.misfit)} | changes))
 
 
 def trembling(scale: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -121,11 +116,11 @@ def test_uncertainty_is_the_fits_and_the_bodys_and_the_limbs() -> None:
     misfit = np.zeros((3, LAYOUT.n_parts))
     limb = next(p for p in limbs_of(LAYOUT) if LAYOUT.parts[p[0]] == "right_upper_arm")
     misfit[1, limb[1]] = 4.0
-    information = np.zeros((3, LAYOUT.n_columns, LAYOUT.n_columns))
-    information[:] = 1e6 * np.eye(LAYOUT.n_columns)
+    information = 1e6 * np.eye(LAYOUT.n_columns)
+    fits = np.array([fit_covariance(BODY, state, information, DeviationSettings()) for state in states])
     blind = np.array([0.0, 0.0, 0.05])
-    series = series_of(states, misfit=misfit, information=information, blind_std=blind)
-    covariance = landmark_covariances(BODY, series, DeviationSettings(), is_refined=True)
+    series = series_of(states, misfit=misfit, fit_covariance=fits, blind_std=blind)
+    covariance = landmark_covariances(BODY, series, DeviationSettings())
     assert np.linalg.eigvalsh(covariance).min() > 0
     variance = np.einsum("tlcc->tl", covariance) / 3
     for m, name in enumerate(LANDMARKS):
@@ -140,24 +135,61 @@ def test_uncertainty_is_the_fits_and_the_bodys_and_the_limbs() -> None:
 def test_a_hull_that_holds_more_than_the_body_makes_unsure() -> None:
     states = marching(BODY, 4, FPS)
     shares = np.array([0.0, DeviationSettings.usual_unexplained, 0.5, 0.8])
-    covariance = landmark_covariances(
-        BODY, series_of(states, unexplained=shares), DeviationSettings(), is_refined=True
-    )
+    covariance = landmark_covariances(BODY, series_of(states, unexplained=shares), DeviationSettings())
     variance = np.einsum("tlcc->tl", covariance) / 3
     np.testing.assert_array_equal(variance[0], variance[1])
     assert np.sqrt(variance[2] - variance[0]).min() > 0.1
     assert np.sqrt(variance[3] - variance[0]).min() > np.sqrt(variance[2] - variance[0]).max()
 
 
-def test_without_refinement_the_particles_spread_counts() -> None:
-    spread = np.zeros((2, len(LANDMARKS), 3, 3))
-    spread[:] = np.diag([1e-4, 4e-4, 9e-4])
-    states = marching(BODY, 2, FPS)
-    with_spread = landmark_covariances(
-        BODY, series_of(states, spread=spread), DeviationSettings(), is_refined=False
+@pytest.mark.parametrize("refine", [True, False])
+def test_without_refinement_the_particles_spread_counts(refine: bool) -> None:
+    pose_settings = PoseConfig(n_layers=3, n_particles=80, refine=refine)
+    flesh = make_flesh("anthropometric", 1.74, 0.06)
+    body, D = flesh.body, flesh.body.layout.n_columns
+    tools = make_tools(flesh.grid, FPS, 1.74, "anthropometric", pose_settings, LikelihoodConfig(), 1)
+    state, nowhere = marching(body, 1, FPS)[0], np.zeros(len(LANDMARKS))
+    spread = np.tile(np.diag([1e-4, 4e-4, 9e-4]), (len(LANDMARKS), 1, 1))
+    pose = FramePose(
+        row=0, state=state, landmarks=landmarks_of(body, state[None])[0], information=1e6 * np.eye(D), spread=spread,
+        misfit=np.ones(body.layout.n_parts), unexplained=0.3, blind_std=0.1, hidden_std=nowhere + 0.2,
+        observed=nowhere > 0, log_likelihood=-1.0, evidence=-2.0, ess_share=0.5, doubtful=nowhere == 0,
+    )  # fmt: skip
+    series = FrameSeries.of_length(2, tools.body)
+    note(series, 1, pose, tools)
+    fitted = fit_covariance(tools.body, state, pose.information, DeviationSettings())
+    np.testing.assert_array_equal(series.fit_covariance[1], fitted if refine else spread)
+    for column in (
+        "state",
+        "misfit",
+        "unexplained",
+        "blind_std",
+        "hidden_std",
+        "observed",
+        "doubtful",
+        "ess_share",
+    ):
+        kept = series.states if column == "state" else getattr(series, column)
+        np.testing.assert_array_equal(kept[1], getattr(pose, column))
+        assert not np.any(kept[0])
+    wider = landmark_covariances(BODY, series, DeviationSettings())
+    without = landmark_covariances(
+        BODY, replace(series, fit_covariance=0 * series.fit_covariance), DeviationSettings()
     )
-    without = landmark_covariances(BODY, series_of(states), DeviationSettings(), is_refined=False)
-    np.testing.assert_allclose(with_spread - without, spread)
+    np.testing.assert_allclose(wider - without, series.fit_covariance, atol=1e-15)
+
+
+def test_without_a_fit_there_is_none_of_its_own() -> None:
+    states = marching(BODY, 1, FPS)
+    nothing = np.zeros((LAYOUT.n_columns,) * 2)
+    np.testing.assert_array_equal(fit_covariance(BODY, states[0], nothing, DeviationSettings()), 0.0)
+
+
+def test_what_is_kept_of_an_hour_is_small() -> None:
+    """An hour of one person at 30 frames/s is less than 400 MB."""
+    series = FrameSeries.of_length(100, BODY)
+    n_bytes = sum(getattr(series, field.name).nbytes for field in fields(series))
+    assert n_bytes / 100 * 30 * 3600 < 400e6
 
 
 def test_the_worse_the_fit_the_less_it_knows() -> None:

@@ -29,10 +29,10 @@ from mocap.pipeline.stages.pose import PersonViews
 from mocap.pipeline.stages.segment import SEGMENT
 from mocap.pipeline.stages.track import TRACK
 from mocap.pipeline.walk import Walker
-from mocap.pose.deviation import landmark_covariances
+from mocap.pose.deviation import FrameSeries, landmark_covariances
 from mocap.pose.follow import FramePose
 from mocap.pose.forward import ForwardPerson, ForwardSettings, Sighting
-from mocap.pose.person import series_of
+from mocap.pose.person import note
 from mocap.pose.volume import VolumeTools
 from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
@@ -182,14 +182,14 @@ class Engine:
         )
         follower = self._follower(track.person)
         pose = follower.see(Sighting(found.pictures.time_s, track.xyz, hull))
-        body = follower.body
-        if pose is None or body is None:
-            return PersonResult(track.person, track.xyz, body)
-        covariance = landmark_covariances(
-            body, series_of([pose]), self.config.method.deviation, is_refined=self.config.pose.refine
-        )
+        tools = follower.tools
+        if pose is None or tools is None:
+            return PersonResult(track.person, track.xyz, None if tools is None else tools.body)
+        series = FrameSeries.of_length(1, tools.body)
+        note(series, 0, pose, tools)
+        covariance = landmark_covariances(tools.body, series, self.config.method.deviation)
         deviation_m = np.sqrt(np.trace(covariance[0], axis1=1, axis2=2) / 3.0)
-        return PersonResult(track.person, track.xyz, body, pose, deviation_m)
+        return PersonResult(track.person, track.xyz, tools.body, pose, deviation_m)
 
     def _follower(self, person: int) -> ForwardPerson:
         """Who follows a person; the last who was seen stands last."""
