@@ -23,6 +23,7 @@ from mocap.polygons import corner_error
 from mocap.polygons.likelihood import (
     PolygonLikelihoodSettings,
     PolygonProblem,
+    mark_runs,
     part_histograms,
     random_walk_std,
 )
@@ -350,7 +351,7 @@ def run_scene(
             status = f"{type(error).__name__}: {error}".replace("\n", " ")[:120]
             rows.append(cell.key() | dict.fromkeys(VALUE_FIELDS, "") | {"status": status})
     for frame in range(1, scene.settings.n_frames):
-        bins = scene.bins(frame)
+        bins = mark_runs(scene.bins(frame))
         for one in going:
             one.step(frame, bins)
         if progress is not None:

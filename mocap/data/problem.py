@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -56,7 +57,17 @@ class StateLayout:
 
     def columns_of(self, parts: int | Sequence[int]) -> NDArray[np.int64]:
         """Columns that belong to one part, or to any of several, ascending."""
+        if isinstance(parts, int):
+            return self._columns_of_each[parts]
         return np.flatnonzero(np.isin(self.part_of_column, parts))
+
+    @cached_property
+    def _columns_of_each(self) -> list[NDArray[np.int64]]:
+        """The columns of every part; filters ask for them at every step."""
+        columns = [np.flatnonzero(self.part_of_column == part) for part in range(self.n_parts)]
+        for own in columns:
+            own.setflags(write=False)
+        return columns
 
 
 def limbs_of(layout: StateLayout) -> list[list[int]]:

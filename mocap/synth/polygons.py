@@ -29,6 +29,7 @@ from mocap.polygons.likelihood import (
     PolygonLikelihoodSettings,
     PolygonProblem,
     colour_bins,
+    mark_runs,
     part_histograms,
 )
 from mocap.polygons.tree import PolygonTree, corner_positions, star_tree
@@ -160,7 +161,7 @@ class PolygonScene:
     def problem(self, frame: int, settings: PolygonLikelihoodSettings | None = None) -> PolygonProblem:
         """The articulated problem of a frame; reference histograms are those of the true state in frame 0."""
         return PolygonProblem(
-            self.tree, self.bins(frame), self.reference, settings or PolygonLikelihoodSettings()
+            self.tree, mark_runs(self.bins(frame)), self.reference, settings or PolygonLikelihoodSettings()
         )
 
     @cached_property

@@ -11,6 +11,7 @@ from mocap.polygons.likelihood import (
     PolygonLikelihoodSettings,
     PolygonProblem,
     colour_bins,
+    mark_runs,
     part_histograms,
     polygon_scores,
     polygon_scores_numpy,
@@ -107,6 +108,33 @@ def test_the_kernel_equals_the_crossing_number_twin(seed: int) -> None:
     theirs = polygon_scores_numpy(tree, bins, reference, states)
     np.testing.assert_allclose(ours[0], theirs[0], atol=ROUNDING)
     np.testing.assert_allclose(ours[1], theirs[1], atol=ROUNDING)
+
+
+def test_marked_runs_change_no_bit() -> None:
+    """Runs longer than the mark can say, runs that the border of the picture ends, and single pixels."""
+    rng = np.random.default_rng(9)
+    image = np.repeat(rng.integers(0, 256, (HEIGHT, 4, 3)), (140, 1, 40, 75), axis=1).astype(np.uint8)
+    image[:, 200:220] = rng.integers(0, 256, (HEIGHT, 20, 3))
+    bins = colour_bins(image, np.arange(256) % 97 < 70 + np.zeros((HEIGHT, 1)))
+    marked = mark_runs(bins)
+    np.testing.assert_array_equal(marked & np.uint16(1023), bins)
+    assert (marked >> 10).max() == 63
+    assert not (marked[:, -1] >> 10).any()
+    np.testing.assert_array_equal(marked[:, :-1] >> 10 > 0, bins[:, :-1] == bins[:, 1:])
+    np.testing.assert_array_equal(mark_runs(marked), marked)
+    tree = star_tree(4, 3)
+    states = rng.normal(size=(40, tree.layout.n_columns))
+    states[:, 0] += rng.uniform(-20, 276, 40)
+    states[:, 1] += rng.uniform(-20, HEIGHT + 20, 40)
+    reference = rng.dirichlet(np.ones(24), tree.layout.n_parts)
+    for ours, plain in zip(
+        polygon_scores(tree, marked, reference, states),
+        polygon_scores(tree, bins, reference, states),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(ours, plain)
+    theirs = polygon_scores_numpy(tree, marked, reference, states[:4])
+    np.testing.assert_allclose(polygon_scores(tree, marked, reference, states[:4]), theirs, atol=ROUNDING)
 
 
 def test_the_kernel_without_the_compiler_says_the_same() -> None:
