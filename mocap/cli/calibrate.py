@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mocap.cli.options import check_choice
+from mocap.cli.options import CalibrationOption, check_choice
 from mocap.cli.progress import progress_bar
 from mocap.errors import MocapError
 
@@ -57,15 +58,22 @@ def board(
 
 
 def calibrate(
+    out: Annotated[Path, typer.Option("-o", "--out", help="Calibration to write.")],
     clips: Annotated[
-        Path,
-        typer.Argument(metavar="BOARD", help="Folder with one clip of the board per camera, synchronised."),
-    ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="calibration.toml to write.")],
-    board: BoardOption,
+        Path | None,
+        typer.Argument(
+            metavar="[BOARD]",
+            help="Folder with one clip of the board per camera, synchronised.",
+            show_default=False,
+        ),
+    ] = None,
+    board: Annotated[
+        str | None, typer.Option("--board", help="9x6, charuco:8x6 or aprilgrid:6x4, as in `mocap board`.")
+    ] = None,
     square_mm: Annotated[
-        float, typer.Option("--square-mm", min=1.0, max=1000.0, help="Side of a square or tag, measured, mm.")
-    ],
+        float | None,
+        typer.Option("--square-mm", min=1.0, max=1000.0, help="Side of a square or tag, measured, mm."),
+    ] = None,
     floor_frame: Annotated[
         int | None,
         typer.Option("--floor-frame", min=0, help="Frame in which the board lies flat on the floor."),
@@ -84,10 +92,119 @@ def calibrate(
     lens: Annotated[
         str, typer.Option("--lens", help="radial (two terms), tangential (and decentring) or fisheye.")
     ] = "radial",
-    frames: Annotated[int, typer.Option("--frames", min=6, help="Frames to look at, spread evenly.")] = 60,
+    frames: Annotated[
+        int | None,
+        typer.Option("--frames", min=6, help="Frames to look at, spread evenly (60; refining: 300)."),
+    ] = None,
+    refine: Annotated[
+        Path | None,
+        typer.Option(
+            "--refine", metavar="SESSION", help="Without a board: put right by the people in a session."
+        ),
+    ] = None,
+    calibration: CalibrationOption = None,
+    height_m: Annotated[
+        float | None,
+        typer.Option(
+            "--height-m", min=0.5, max=2.5, help="With --refine: of the tallest person; sets the scale."
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", help="With --refine: PNG of what was moved, and what it gained."),
+    ] = None,
 ) -> None:
-    """Lenses and places of the cameras from clips of a board that they all film; OUT.html says how good they are."""
-    from mocap.calibrate import board_from_text, find_board_views, find_clips
+    """Lenses and places of the cameras from clips of a board that they all film; OUT.html says how good they are.
+
+    --refine SESSION corrects the places of a calibration that is off by some degrees and centimetres, from people who
+    walk in the session's clips, and writes a new file.
+    """
+    of_board = {"--board": board, "--square-mm": square_mm, "--floor-frame": floor_frame, "--points": points}
+    of_board |= {"BOARD": clips, "--lenses": lenses}
+    of_session = {"--calibration": calibration, "--height-m": height_m, "--picture": picture}
+    if refine is not None:
+        _check_options(of_board, (), "--refine", "leave it out")
+        _refine(refine, out, calibration, height_m, frames, picture)
+        return
+    _check_options(
+        of_session, ("BOARD", "--board", "--square-mm"), "a board", "give --refine SESSION", of_board
+    )
+    assert clips is not None  # the check above has seen to it
+    assert board is not None
+    assert square_mm is not None
+    _from_board(clips, out, board, square_mm, _world(floor_frame, points), lenses, lens, frames or 60)
+
+
+def _check_options(
+    strange: Mapping[str, object],
+    needed: Sequence[str],
+    what: str,
+    remedy: str,
+    given: Mapping[str, object] | None = None,
+) -> None:
+    """Raise MocapError for options that are not of this kind of calibration, and for those that it lacks."""
+    if odd := [name for name, value in strange.items() if value is not None]:
+        raise MocapError(f"{odd[0]} has no meaning for a calibration from {what}", remedy=remedy)
+    if missing := [name for name in needed if (given or {}).get(name) is None]:
+        raise MocapError(
+            f"{', '.join(missing)} must be given",
+            remedy="mocap calibrate CLIPS --board charuco:8x6 --square-mm 46 --floor-frame 12, or without a board "
+            "mocap calibrate --refine SESSION",
+        )
+
+
+def _refine(
+    session: Path,
+    out: Path,
+    calibration: Path | None,
+    height_m: float | None,
+    n_frames: int | None,
+    picture: Path | None,
+) -> None:
+    """The calibration of a session refined by its people."""
+    from mocap.io.calibration import read_calibration
+    from mocap.pipeline.refine import N_FRAMES, check_new, refine_session, write_picture, write_refined
+
+    check_new(out)
+    with progress_bar() as progress:
+        refined = refine_session(
+            session,
+            calibration=calibration,
+            height_m=height_m,
+            n_frames=n_frames or N_FRAMES,
+            progress=progress,
+        )
+    found = refined.refinement
+    for name, move in found.moves.items():
+        typer.echo(
+            f"{name}: turned by {move.turn_deg:.2f} degrees (± {move.turn_std_deg:.2f}), moved by "
+            f"{1000 * move.shift_m:.0f} mm (± {1000 * move.shift_std_m:.0f}); lines of sight apart "
+            f"{1000 * move.apart_before_m:.1f} -> {1000 * move.apart_after_m:.1f} mm"
+        )
+    if height_m is not None:
+        typer.echo(f"Scaled by {refined.factor:.4f} for somebody of {height_m:.2f} m")
+    write_refined(out, refined)
+    if picture is not None:
+        write_picture(picture, refined, read_calibration(refined.source).rig)
+        typer.echo(f"Picture in {picture}")
+    typer.echo(
+        f"Lines of sight {1000 * found.apart_before_m:.1f} -> {1000 * found.apart_after_m:.1f} mm apart; written to "
+        f"{out}. Use it: mocap run {session} --calibration {out}"
+    )
+
+
+def _from_board(
+    clips: Path,
+    out: Path,
+    board: str,
+    square_mm: float,
+    world: int | WorldPoints,
+    lenses: Path | None,
+    lens: str,
+    frames: int,
+) -> None:
+    """Lenses and places from clips of a board."""
+    from mocap.calibrate import WorldPoints, board_from_text, find_board_views, find_clips
     from mocap.calibrate import calibrate as solve
     from mocap.calibrate.lens import MODELS
     from mocap.calibrate.page import write_page
@@ -98,12 +215,15 @@ def calibrate(
     check_choice("--lens", lens, MODELS)
     model: LensModel = lens  # type: ignore[assignment]
     target = board_from_text(board, square_mm)
-    world = _world(floor_frame, points)
     with progress_bar() as progress:
         found_clips = find_clips(clips)
         known = None if lenses is None else _lenses(lenses, target, list(found_clips), model, frames)
         views = find_board_views(
-            found_clips, target, floor_frame=floor_frame, n_frames=frames, progress=progress
+            found_clips,
+            target,
+            floor_frame=None if isinstance(world, WorldPoints) else world,
+            n_frames=frames,
+            progress=progress,
         )
         if other := board_in_place_of(views, found_clips):
             raise MocapError(

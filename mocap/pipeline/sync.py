@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Image, Mask
 from mocap.data import CameraRig
 from mocap.errors import MocapError, did_you_mean
-from mocap.foreground import Segmenter, learn_background, median_background
 from mocap.io._files import atomic_text, writing
 from mocap.io.session import OpenedClips, open_clips, read_session_settings
 from mocap.io.session.timeline import TIMESTAMPS_FILE, differing_rates, own_times
 from mocap.io.tables import write_timestamps_csv
 from mocap.io.video import MaskReader, iter_clip, times_in_container
+from mocap.pipeline.silhouettes import foreground
 from mocap.progress import Progress, no_progress
 from mocap.threads import in_parallel
 from mocap.volume.synchrony import Silhouettes, Synchrony, SynchronySettings, silhouette_hull, synchronise
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from mocap.view.clock_curves import ClockCurve
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _IRREGULAR = 0.5  # of a frame: time stamps further from an even rate are those of a clip of varying rate
 _TABLES = ("offset_s", "clip_fps")
@@ -201,10 +201,8 @@ def _masks(clips: OpenedClips, name: str) -> Iterator[Mask]:
         with MaskReader(clips.masks, CameraRig((camera,)), range(clips.clips[name].n_frames)) as reader:
             yield from (masks[0] for _, masks in reader)
         return
-    if name in clips.background:
-        background = learn_background(iter_clip(clips.background[name], size=camera.size, camera=name))
-    else:
-        background = median_background(iter_clip(clips.images[name], size=camera.size, camera=name))
-    segmenter = Segmenter(background)
-    for picture in iter_clip(clips.images[name], size=camera.size, camera=name):
-        yield segmenter.segment(picture).mask
+
+    def pictures() -> Iterator[Image]:
+        yield from iter_clip(clips.images[name], size=camera.size, camera=name)
+
+    yield from foreground(camera, pictures, clips.background.get(name))

@@ -148,23 +148,40 @@ def focus_of(rig: CameraRig) -> Array:
     return np.asarray(np.linalg.lstsq(A, b, rcond=None)[0])
 
 
+class Planes(NamedTuple):
+    """The pencil of planes through two cameras: distance m of the people from the line between them, and two axes
+    (3, 2) across that line, towards the people and aside."""
+
+    distance: float
+    axes: Array
+
+
+def spanned_planes(center: Array, other: Array, focus: Array) -> Planes | None:
+    """The planes through two places (3,) m; None where these are one place, or in line with the people."""
+    baseline = other - center
+    if np.linalg.norm(baseline) < 1e-6:
+        return None
+    baseline = baseline / np.linalg.norm(baseline)
+    towards = focus - center
+    towards = towards - (towards @ baseline) * baseline
+    distance = float(np.linalg.norm(towards))
+    if distance < 0.1:
+        return None
+    axes = np.stack([towards / distance, np.cross(baseline, towards / distance)], axis=1)
+    return Planes(distance, axes)
+
+
 def tangent_curves(rig: CameraRig, seen: Sequence[Silhouettes]) -> list[tuple[Curve, Curve]]:
     """Upper and lower curves of all pairs of cameras, (of the one, of the other)."""
     focus = focus_of(rig)
     rays = [[camera.rays(hull) for hull in s.hulls] for camera, s in zip(rig, seen, strict=True)]
-    inside = [[_inside(camera, hull) for hull in s.hulls] for camera, s in zip(rig, seen, strict=True)]
+    inside = [[is_inside(camera, hull) for hull in s.hulls] for camera, s in zip(rig, seen, strict=True)]
     pairs = []
     for i, j in combinations(range(len(rig)), 2):
-        baseline = rig[j].center - rig[i].center
-        if np.linalg.norm(baseline) < 1e-6:
+        planes = spanned_planes(rig[i].center, rig[j].center, focus)
+        if planes is None:
             continue
-        baseline /= np.linalg.norm(baseline)
-        towards = focus - rig[i].center
-        towards = towards - (towards @ baseline) * baseline
-        distance = float(np.linalg.norm(towards))
-        if distance < 0.1:
-            continue
-        axes = np.stack([towards / distance, np.cross(baseline, towards / distance)], axis=1)
+        distance, axes = planes
         i_both, j_both = (
             np.array([_extremes(r, ok, axes) for r, ok in zip(rays[c], inside[c], strict=True)]).reshape(
                 -1, 2
@@ -181,7 +198,8 @@ def tangent_curves(rig: CameraRig, seen: Sequence[Silhouettes]) -> list[tuple[Cu
     return pairs
 
 
-def _inside(camera: Camera, hull: Array) -> NDArray[np.bool_]:
+def is_inside(camera: Camera, hull: Array) -> NDArray[np.bool_]:
+    """Which corners (P, 2) px of a hull the border of the picture does not cut off."""
     w, h = camera.size
     u, v = hull.T
     return (u > _EDGE_PX) & (u < w - 1 - _EDGE_PX) & (v > _EDGE_PX) & (v < h - 1 - _EDGE_PX)

@@ -1,0 +1,207 @@
+"""A session's calibration refined by the people in it: what cannot be right is refused with the reason."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mocap.arrays import Array
+from mocap.data import CameraRig
+from mocap.errors import MocapError
+from mocap.io._files import writing
+from mocap.io.calibration import write_calibration
+from mocap.io.session import Session, open_session
+from mocap.pipeline.silhouettes import hulls_of
+from mocap.progress import Progress, no_progress
+from mocap.volume.rig_refinement import CameraMove, Refinement, RefinementSettings, refine_rig, scaled
+
+# Places of people further apart in time say more than neighbours; so many frames are looked at, spread evenly.
+N_FRAMES = 300
+# Of what may be wrong, so much may be left of any camera: beyond it the motion says too little to call it refined.
+_MOST_LEFT = 0.5
+# Moves within so many standard deviations (root mean square over the axes) are chance: the calibration was right.
+_CHANCE = 2.5
+# Tangents of one camera with all others: somebody crossed its picture.
+_LEAST_TANGENTS = 60
+# Outlines of people fit to a few millimetres; beyond this they are of other people, other times or other lenses.
+_MOST_APART_M = 0.03
+# A stated height that the people miss by more is not theirs, or they do not walk upright.
+_MOST_SCALE = 0.15
+_TOP_SHARE = 0.95  # frames in which somebody stands less tall: knees bend in the middle of every step
+_TOP_POINTS = 4  # of a frame that agree on where its highest place is
+_LEAST_FRAMES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedSession:
+    """refinement : what was found.  rig : its cameras, scaled where a height was stated.  factor : of that scale.
+    n_frames : that were looked at."""
+
+    refinement: Refinement
+    rig: CameraRig
+    factor: float
+    n_frames: int
+    source: Path
+
+
+def refine_session(
+    session: Path | str,
+    *,
+    calibration: Path | str | None = None,
+    height_m: float | None = None,
+    n_frames: int = N_FRAMES,
+    n_threads: int | None = None,
+    progress: Progress = no_progress,
+) -> RefinedSession:
+    """Cameras of a session put right by the people who walk in it; lenses are kept.
+
+    The world stays where it was: as a whole, the places of the cameras neither shift, turn nor grow.  height_m : of the
+    tallest person, who walks upright; sets the scale.  n_threads : None = up to 2; the result does not depend on it.
+    Raises MocapError for a session that cannot be opened, a camera that sees nobody, a motion that says too little, and
+    when nothing is gained.
+    """
+    opened = open_session(session, calibration=calibration)
+    hulls, stride = look_at(opened, n_frames=n_frames, n_threads=n_threads, progress=progress)
+    return refine_from(opened, hulls, stride, height_m)
+
+
+def look_at(
+    session: Session,
+    *,
+    n_frames: int = N_FRAMES,
+    n_threads: int | None = None,
+    progress: Progress = no_progress,
+) -> tuple[list[list[Array]], int]:
+    """Hulls of the silhouettes per camera and frame, and how many frames lie between two of them."""
+    stride = max(1, len(session.frames) // n_frames)
+    n_threads = n_threads or min(2, os.cpu_count() or 1)
+    return hulls_of(session, session.frames[::stride], n_threads=n_threads, progress=progress), stride
+
+
+def refine_from(
+    session: Session, hulls: list[list[Array]], stride: int, height_m: float | None
+) -> RefinedSession:
+    """The refinement, or why there is none, from what `look_at` saw. Raises MocapError as `refine_session` does."""
+    settings = RefinementSettings()
+    settings = replace(settings, alike=max(1.0, settings.alike / stride))
+    found = refine_rig(session.rig, hulls, settings)
+    _check(found, session)
+    factor = 1.0 if height_m is None else _factor(found, height_m, session)
+    return RefinedSession(found, scaled(found.rig, factor), factor, len(hulls[0]), session.calibration_path)
+
+
+def check_new(path: Path) -> None:
+    """Raise MocapError when there is something at the path."""
+    if path.exists():
+        raise MocapError(
+            "there is a file already; a calibration is not written over",
+            path=path,
+            remedy="choose another name with -o, or take the file away",
+        )
+
+
+def write_refined(path: Path, refined: RefinedSession) -> None:
+    """Write the new calibration, with what it came from and how well it fits; never over a file that is there."""
+    check_new(path)
+    found = refined.refinement
+    metadata = {
+        "source": "mocap calibrate --refine",
+        "refined_from": refined.source.name,
+        "frames_looked_at": refined.n_frames,
+        "apart_before_mm": round(1000 * found.apart_before_m, 2),
+        "apart_after_mm": round(1000 * found.apart_after_m, 2),
+        "scaled_by": round(refined.factor, 5),
+    }
+    write_calibration(path, refined.rig, metadata=metadata)
+
+
+def write_picture(path: Path, refined: RefinedSession, before: CameraRig) -> None:
+    """Write a PNG: where the cameras were and are, seen from above, and how far lines of sight were and are apart."""
+    from mocap.view.rig_moves import CameraShift, plot_moves
+
+    shifts = [
+        CameraShift(
+            name,
+            before[name].center[:2],
+            refined.rig[name].center[:2],
+            refined.rig[name].R[2, :2],
+            (move.apart_before_m, move.apart_after_m),
+        )
+        for name, move in refined.refinement.moves.items()
+    ]
+    with writing(path):
+        path.write_bytes(plot_moves(shifts))
+
+
+def _check(found: Refinement, session: Session) -> None:
+    """Refuse what is no refinement."""
+    for name, move in found.moves.items():
+        if move.n_tangents < _LEAST_TANGENTS:
+            raise MocapError(
+                f"it shares {move.n_tangents} outlines of people with other cameras, needed are {_LEAST_TANGENTS}",
+                path=session.root,
+                camera=name,
+                remedy="use a take in which somebody walks through its picture, whole from head to foot, or leave the "
+                "camera out in session.toml: cameras = [...]",
+            )
+    worst = max(found.moves, key=lambda name: found.moves[name].apart_after_m)
+    if found.moves[worst].apart_after_m > _MOST_APART_M:
+        raise MocapError(
+            "no places of the cameras explain the outlines: its lines of sight miss those of others by "
+            f"{1000 * found.moves[worst].apart_after_m:.0f} mm at best",
+            path=session.root,
+            camera=worst,
+            remedy="run `mocap sync` first; then see whether clips are exchanged, the zoom was changed, or the masks "
+            "bad (`mocap segment`). Errors of more than some 5 degrees or 10 cm need a new calibration",
+        )
+    unsure = max(found.moves, key=lambda name: found.moves[name].share_left)
+    move = found.moves[unsure]
+    if move.share_left > _MOST_LEFT:
+        raise MocapError(
+            f"the motion says too little: its direction would be uncertain by {move.turn_std_deg:.1f} degrees, its "
+            f"place by {1000 * move.shift_std_m:.0f} mm",
+            path=session.root,
+            camera=unsure,
+            remedy="use a take in which somebody walks all over the room for five seconds or more, in view of at least "
+            "three cameras; gestures on one spot do not do",
+        )
+    if not found.apart_after_m < found.apart_before_m or not any(map(_is_moved, found.moves.values())):
+        raise MocapError(
+            "nothing is gained: no camera would be moved by more than chance; lines of sight are "
+            f"{1000 * found.apart_before_m:.1f} mm apart as calibrated, {1000 * found.apart_after_m:.1f} mm afterwards",
+            path=session.root,
+            remedy="keep the calibration: the people in this take agree with it",
+        )
+
+
+def _is_moved(move: CameraMove) -> bool:
+    """Whether a camera was moved by more than what is left uncertain of it."""
+    limit = _CHANCE * np.sqrt(3)
+    return bool(move.turn_deg > limit * move.turn_std_deg or move.shift_m > limit * move.shift_std_m)
+
+
+def _factor(found: Refinement, height_m: float, session: Session) -> float:
+    """By how much the rig has to grow so that the tallest person is as tall as stated."""
+    measured = _height_m(found)
+    factor = height_m / measured
+    if not abs(factor - 1) < _MOST_SCALE:
+        raise MocapError(
+            f"the people are {measured:.2f} m tall by this calibration, stated are {height_m:.2f} m",
+            path=session.root,
+            remedy="state the height of the tallest person in metres; he must walk upright, hands below the head. If "
+            "the calibration is in another unit, say so in session.toml: calibration_units",
+        )
+    return factor
+
+
+def _height_m(found: Refinement) -> float:
+    """Of the tallest person, m above the floor, while he walks; NaN when it cannot be told."""
+    tops = []
+    for frame in np.unique(found.frames):
+        heights = np.sort(found.points[found.frames == frame, 2])
+        if len(heights) >= 2 * _TOP_POINTS:
+            tops.append(np.median(heights[-_TOP_POINTS:]))
+    return float(np.quantile(tops, _TOP_SHARE)) if len(tops) >= _LEAST_FRAMES else float("nan")

@@ -1,0 +1,68 @@
+"""Silhouettes of one camera after the other, as whoever looks at cameras and not at people needs them.
+
+They come from each camera's own pictures alone: neither calibration nor other cameras have a say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from mocap.arrays import Array, Image, Mask
+from mocap.data import Camera, CameraRig
+from mocap.foreground import Segmenter, learn_background, median_background
+from mocap.io.session import Session
+from mocap.io.session.reading import pictures_of
+from mocap.io.video import MaskReader, iter_clip
+from mocap.progress import Progress, no_progress
+from mocap.threads import in_parallel
+from mocap.volume.synchrony import silhouette_hull
+
+
+def foreground(
+    camera: Camera, pictures: Callable[[], Iterable[Image]], background: Path | None
+) -> Iterator[Mask]:
+    """The foreground (H, W) of one camera's pictures.
+
+    pictures : begins them anew at every call.  background : clip of the empty scene; None = their median.
+    """
+    if background is not None:
+        empty = learn_background(iter_clip(background, size=camera.size, camera=camera.name))
+    else:
+        empty = median_background(pictures())
+    segmenter = Segmenter(empty)
+    for picture in pictures():
+        yield segmenter.segment(picture).mask
+
+
+def hulls_of(
+    session: Session,
+    frames: range,
+    *,
+    n_threads: int = 1,
+    progress: Progress = no_progress,
+) -> list[list[Array]]:
+    """Corners (P, 2) px of the convex hull of the silhouettes, per camera of the session and frame."""
+    done = iter(range(len(session.rig)))
+
+    def of_camera(camera: Camera) -> list[Array]:
+        hulls = [silhouette_hull(mask) for mask in _masks(session, camera, frames)]
+        progress("silhouettes", next(done) + 1, len(session.rig))
+        return hulls
+
+    return in_parallel(of_camera, session.rig.cameras, n_threads)
+
+
+def _masks(session: Session, camera: Camera, frames: range) -> Iterator[Mask]:
+    """Of one camera in some frames of the session."""
+    if session.mask_sources:
+        rig = CameraRig((camera,))
+        with MaskReader(session.mask_sources, rig, frames, clip_frames=session.clip_frames) as reader:
+            yield from (masks[0] for _, masks in reader)
+        return
+
+    def pictures() -> Iterator[Image]:
+        with pictures_of(session, frames, cameras=(camera.name,)) as reader:
+            yield from (images[0] for _, images in reader)
+
+    yield from foreground(camera, pictures, session.background_sources.get(camera.name))

@@ -1,0 +1,125 @@
+"""`mocap calibrate --refine`: a calibration that is off, put right by somebody who walks, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_session import mocap
+
+from eval.bench.scene import person_mask, ring
+from eval.refine_rig import disturbed, pair_angles_deg, place_errors
+from mocap.io.calibration import read_calibration, write_calibration
+
+SIZE, FPS, N = (320, 240), 30.0, 90
+RIG = ring(5, SIZE)
+HEIGHT_M = 1.75  # of the drawn person, to some centimetres
+# A pixel of these small pictures is 0.27 degrees and 1.5 cm; discs of whole pixels are drawn.
+ANGLE_DEG, PLACE_M = 0.5, 0.015
+
+
+def write_session(root: Path, *, walks: bool = True, empty: str = "") -> Path:
+    for camera in RIG:
+        (root / "masks" / camera.name).mkdir(parents=True)
+        for k in range(N):
+            a = 1.6 * k / FPS if walks else 0.0
+            mask = person_mask(camera, np.array([0.7 * np.cos(a), 0.5 * np.sin(2 * a)]), a + np.pi / 2)
+            if camera.name == empty:
+                mask = np.zeros_like(mask)
+            cv2.imwrite(str(root / "masks" / camera.name / f"{k:04d}.png"), mask.astype(np.uint8) * 255)
+    (root / "session.toml").write_text(f"fps = {FPS}\n", encoding="utf-8")
+    write_calibration(root / "calibration.toml", disturbed(RIG, 2.0, 0.03, np.random.default_rng(3)))
+    return root
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_session(tmp_path_factory.mktemp("refine") / "session")
+
+
+def test_a_wrong_calibration_is_put_right_and_told(session: Path, tmp_path: Path) -> None:
+    out, picture = tmp_path / "refined.toml", tmp_path / "moves.png"
+    before = (session / "calibration.toml").read_bytes()
+    done = mocap("calibrate", "--refine", session, "-o", out, "--picture", picture)
+    assert done.code == 0, done.err
+    assert done.out.count("turned by") == len(RIG)
+    assert cv2.imread(str(picture)) is not None
+    assert (session / "calibration.toml").read_bytes() == before
+    found = read_calibration(out)
+    assert pair_angles_deg(found.rig, RIG).max() < ANGLE_DEG
+    assert place_errors(found.rig, RIG)[0].max() < PLACE_M
+    assert 'source = "mocap calibrate --refine"' in out.read_text(encoding="utf-8")
+
+    again = mocap("calibrate", "--refine", session, "-o", out)
+    assert again.code == 2
+    assert "not written over" in again.err
+
+    kept = mocap("calibrate", "--refine", session, "-o", tmp_path / "twice.toml", "--calibration", out)
+    assert kept.code == 2
+    assert "nothing is gained" in kept.err
+    assert not (tmp_path / "twice.toml").exists()
+
+
+def test_a_stated_height_sets_the_scale(session: Path, tmp_path: Path) -> None:
+    sizes = []
+    for height in (HEIGHT_M, 1.04 * HEIGHT_M):
+        out = tmp_path / f"{height}.toml"
+        done = mocap("calibrate", "--refine", session, "-o", out, "--height-m", height)
+        assert done.code == 0, done.err
+        centers = np.array([c.center for c in read_calibration(out).rig])
+        sizes.append(np.linalg.norm(centers - centers.mean(axis=0)))
+    assert sizes[1] / sizes[0] == pytest.approx(1.04, abs=1e-6)
+    done = mocap("calibrate", "--refine", session, "-o", tmp_path / "no.toml", "--height-m", 1.0)
+    assert done.code == 2
+    assert "stated are 1.00 m" in done.err
+
+
+def test_a_camera_that_sees_nobody_is_named(tmp_path: Path) -> None:
+    root = write_session(tmp_path / "session", empty=RIG.names[3])
+    done = mocap("calibrate", "--refine", root, "-o", tmp_path / "refined.toml")
+    assert done.code == 2
+    assert f"camera {RIG.names[3]}" in done.err
+    assert "cameras = [...]" in done.err
+    assert not (tmp_path / "refined.toml").exists()
+
+
+def test_somebody_who_stands_still_is_not_enough(tmp_path: Path) -> None:
+    root = write_session(tmp_path / "session", walks=False)
+    done = mocap("calibrate", "--refine", root, "-o", tmp_path / "refined.toml")
+    assert done.code == 2
+    assert "the motion says too little" in done.err
+
+
+def test_exchanged_cameras_are_no_refinement(session: Path, tmp_path: Path) -> None:
+    rig = list(read_calibration(session / "calibration.toml").rig)
+    text = (session / "calibration.toml").read_text(encoding="utf-8")
+    a, b = f'name = "{rig[0].name}"', f'name = "{rig[2].name}"'
+    text = text.replace(a, "name = @").replace(b, a).replace("name = @", b)
+    (tmp_path / "exchanged.toml").write_text(text, encoding="utf-8")
+    done = mocap(
+        *("calibrate", "--refine", session, "-o", tmp_path / "no.toml"),
+        *("--calibration", tmp_path / "exchanged.toml"),
+    )
+    assert done.code == 2
+    assert "no places of the cameras explain" in done.err or "shares" in done.err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--refine", "SESSION", "--board", "7x5"), "--board has no meaning"),
+        (("CLIPS", "--refine", "SESSION"), "BOARD has no meaning"),
+        (("CLIPS", "--board", "7x5"), "--square-mm must be given"),
+        (("--height-m", "1.8"), "--height-m has no meaning"),
+        (("--refine", "nowhere"), "no such session folder"),
+    ],
+)
+def test_options_that_do_not_go_together(
+    options: tuple[str, ...], words: str, session: Path, tmp_path: Path
+) -> None:
+    given = [str(session) if option == "SESSION" else option for option in options]
+    done = mocap("calibrate", *given, "-o", tmp_path / "out.toml")
+    assert done.code == 2
+    assert words in done.err
