@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli import calibrate, cluster, compare, live, run, sync, synth, tools
+from mocap.cli import calibrate, cluster, compare, init, live, run, sync, synth, tools
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
 from mocap.portable import Stopped, find_kernel_cache, stoppable
@@ -22,6 +22,7 @@ app = typer.Typer(
 # In the order of `mocap --help`.
 COMMANDS: dict[str, Callable[..., None]] = {
     "demo": run.demo,
+    "init": init.init,
     "run": run.run,
     "live": live.live,
     "segment": run.segment,
