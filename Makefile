@@ -9,7 +9,7 @@ EXTRAS := dev,synth,export,view,cluster
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-slow mutants lint format bench clean
+.PHONY: help venv docs demo test test-slow mutants lint format bench clean
 
 help:
 	@echo "make demo       synthesise a session, run the pipeline on it, score it: out/demo/"
@@ -18,6 +18,7 @@ help:
 	@echo "make mutants    plant one-line mistakes in the numerical core and see that tests notice them (slow)"
 	@echo "make lint       ruff (rules and format) and mypy"
 	@echo "make format     let ruff format the code"
+	@echo "make docs       build the documentation into out/site/index.html"
 	@echo "make bench      the speed measures of eval.bench"
 	@echo "make venv       only prepare the environment in $(VENV) (PYTHON=python3.12 chooses another Python)"
 	@echo "make clean      remove caches and out/; the environment stays"
@@ -42,6 +43,20 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/mocap warm-up
 	@touch $@
 	@echo "Ready: $(BIN)/mocap --help"
+
+# The packages that build pages are no part of `make venv`.
+DOCS_STAMP := $(VENV)/.installed-docs
+
+$(DOCS_STAMP): $(STAMP)
+	@echo "Adding what builds the pages; this takes half a minute, once"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]" || { \
+	  echo "The packages could not be installed; pip says why above. Run the same command again when it is mended." >&2; \
+	  exit 2; }
+	@touch $@
+
+docs: $(DOCS_STAMP)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "Open out/site/index.html in a browser"
 
 demo: $(STAMP)
 	@$(BIN)/mocap demo

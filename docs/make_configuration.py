@@ -36,7 +36,7 @@ The value is TOML: numbers, `true` or `false`, `"text"` or a bare word, `["a", "
 Unknown keys and values out of range are refused with the dotted path of the key, before any work is done. The whole
 configuration of a run stands in its `run.json`.
 
-The equations cited are those of CF (see the [README](../README.md#sources)).
+The equations cited are those of CF ([sources](sources.md)).
 """
 
 _WORDS = {

@@ -19,15 +19,15 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
 
 
-def test_the_readme_example_runs(
+def test_the_example_of_the_library_runs(
     tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session = small_session(tmp_path_factory.getbasetemp())
-    example = blocks(ROOT / "README.md", "python")[0]
+    example = blocks(ROOT / "docs" / "library.md", "python")[0]
     assert DEMO in example
     # Fewer candidates for the first pose: the example stays the same, the test stays short.
     example = example.replace('"pose.n_start_frames=1"', '"pose.n_start_frames=1", "pose.n_first_poses=1"')
-    exec(compile(example.replace(DEMO, str(session)), "README.md", "exec"), {"__name__": "readme"})
+    exec(compile(example.replace(DEMO, str(session)), "library.md", "exec"), {"__name__": "library"})
     said = capsys.readouterr().out
     height = re.match(r"(\d\.\d\d) m tall, head at", said)
     assert height is not None
@@ -97,13 +97,12 @@ def test_every_command_and_option_on_the_pages_exists() -> None:
     assert {"demo", "check", "run", "eval", "synth", "convert-calibration"} <= seen
 
 
-def test_the_readme_lists_every_command() -> None:
+def test_the_page_of_commands_lists_every_one() -> None:
     from typer.main import get_command
 
     from mocap.cli import app
 
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    table = text[text.index("## Commands") : text.index("## Outputs")]
+    table = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     commands = get_command(app).commands  # type: ignore[attr-defined]
     assert [name for name in commands if not re.search(rf"`(mocap )?{name}\b", table)] == []
 
