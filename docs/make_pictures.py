@@ -131,25 +131,6 @@ class Demo:
         return person_window(self.session.rig[camera], centers, margin=0.06, aspect=aspect)
 
 
-def overview(demo: Demo) -> Image:
-    """Image, silhouette, hull, body and skeleton in two cameras."""
-    tiles, labels = [], []
-    for c in (0, CAMERA):
-        camera, image, window = demo.session.rig[c], demo.images[c], demo.window(c)
-        state, landmarks = demo.poses.states[demo.row], demo.poses.landmarks[demo.row]
-        views = (
-            (f"{camera.name}, frame {FRAME}", image),
-            ("silhouette", draw_mask(image, demo.masks[c])),
-            ("hull of 7 silhouettes", draw_hull(image, camera, demo.hull)),
-            ("fitted body", draw_body(image, camera, body_parts(demo.poses.body, state))),
-            ("15 landmarks", draw_skeleton(image, camera, landmarks, demo.poses.observed[demo.row])),
-        )
-        for label, view in views:
-            tiles.append(crop(view, window, scale=2.0))
-            labels.append(label)
-    return contact_sheet(tiles, labels, n_columns=5, width=1250)
-
-
 def cameras(demo: Demo) -> Image:
     """The metre grid on the floor in four cameras."""
     bounds = (demo.grid.origin.tolist(), demo.grid.upper.tolist())
@@ -472,7 +453,6 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     demo = Demo(options.demo)
     makers: dict[str, Callable[[], bytes | Image]] = {
-        "overview": lambda: overview(demo),
         "cameras": lambda: cameras(demo),
         "foreground": lambda: foreground(demo),
         "volume": lambda: volume(demo),
