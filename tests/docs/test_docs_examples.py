@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import re
 from pathlib import Path
 
@@ -40,11 +41,24 @@ def test_short_examples_run(name: str) -> None:
         exec(compile(example, name, "exec"), {"__name__": "docs"})
 
 
+# Programs of others that pages show how to hand files to; their examples are run where they are installed.
+PROGRAMS = {"bpy", "opensim", "movement", "xarray", "pandas"}
+
+
+def is_of_a_missing_program(node: ast.Import | ast.ImportFrom) -> bool:
+    name = (node.names[0].name if isinstance(node, ast.Import) else node.module or "").split(".")[0]
+    return name in PROGRAMS and importlib.util.find_spec(name) is None
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_every_python_block_is_python_and_imports_what_exists(page: Path) -> None:
     for example in blocks(page, "python"):
         tree = ast.parse(example)
-        imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+        imports = [
+            node
+            for node in tree.body
+            if isinstance(node, ast.Import | ast.ImportFrom) and not is_of_a_missing_program(node)
+        ]
         exec(compile(ast.Module(imports, []), page.name, "exec"), {})
 
 
