@@ -71,12 +71,17 @@ def method_of_several(row: Row) -> str:
     return f"{'M' if split else '1'} {LABELS[row['filter']]}{'/100' if fewer else ''}"
 
 
+def tables(seeds: Seeds) -> list[Table]:
+    """All tables of the source."""
+    return [sweep_table(1, seeds), sweep_table(2, seeds), several_objects(seeds)]
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the three tables."""
     seeds = parse_seeds(__doc__, argv)
-    tables = [sweep_table(1, seeds), sweep_table(2, seeds), several_objects(seeds)]
-    claims = run_tables("sw", tables, seeds)
-    picture_of("sw", [t for t in tables if t.x])
+    wanted = tables(seeds)
+    claims = run_tables("sw", wanted, seeds)
+    picture_of("sw", [t for t in wanted if t.x])
     sys.stdout.write(summary(claims) + "\n")
 
 

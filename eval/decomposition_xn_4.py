@@ -102,16 +102,21 @@ def sweeps(
 Orders = tuple[Sequence[tuple[str, str]], Sequence[tuple[str, str]], Sequence[tuple[str, str]]]
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Run the figures of chapter 4."""
-    seeds = parse_seeds(__doc__, argv)
+def tables(seeds: Seeds) -> list[Table]:
+    """All figures of the chapter."""
     swapping = [("SBPS", "PS"), ("SBAPF", "APF")]
     bushy = [*swapping, ("SBPS", "APF"), ("SBAPF", "PS")]
     figures = ("XN Figure 4-19", "XN Figure 4-21", "XN Figure 4-23")
-    tables = sweeps(seeds, METHODS, figures, (swapping, bushy, swapping))
-    tables.append(over_layers("XN Figure 4-25", seeds, [("sbapf", 2)]))
-    claims = run_tables("xn_4", tables, seeds)
-    picture_of("xn_4", [t for t in tables if t.x])
+    found = sweeps(seeds, METHODS, figures, (swapping, bushy, swapping))
+    return [*found, over_layers("XN Figure 4-25", seeds, [("sbapf", 2)])]
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run the figures of chapter 4."""
+    seeds = parse_seeds(__doc__, argv)
+    wanted = tables(seeds)
+    claims = run_tables("xn_4", wanted, seeds)
+    picture_of("xn_4", [t for t in wanted if t.x])
     sys.stdout.write(summary(claims) + "\n")
 
 

@@ -93,16 +93,21 @@ def published_ms(scheme: str, n_arms: int, n_levels: int, n: int) -> float:
     return 1e3 * XN_TABLE_5_1[scheme, n_arms, n_levels, n] / 300
 
 
+def tables(seeds: Seeds) -> list[Table]:
+    """All figures and tables of the chapter."""
+    best = [("PFCR", other) for other in ("SBPS", "APF", "SBAPF")]
+    figures = ("XN Figure 5-9", "XN Figure 5-12", "XN Figure 5-15")
+    found = [schemes(seeds), *sweeps(seeds, METHODS, figures, (best, best, best))]
+    found.append(over_layers("XN Figure 5-18", seeds, [("sbapf", 2), ("pfcr", 1)]))
+    return [*found, readings(seeds), times(seeds)]
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the figures of chapter 5."""
     seeds = parse_seeds(__doc__, argv)
-    best = [("PFCR", other) for other in ("SBPS", "APF", "SBAPF")]
-    figures = ("XN Figure 5-9", "XN Figure 5-12", "XN Figure 5-15")
-    tables = [schemes(seeds), *sweeps(seeds, METHODS, figures, (best, best, best))]
-    tables.append(over_layers("XN Figure 5-18", seeds, [("sbapf", 2), ("pfcr", 1)]))
-    tables += [readings(seeds), times(seeds)]
-    claims = run_tables("xn_5", tables, seeds)
-    picture_of("xn_5", [t for t in tables if t.x])
+    wanted = tables(seeds)
+    claims = run_tables("xn_5", wanted, seeds)
+    picture_of("xn_5", [t for t in wanted if t.x])
     sys.stdout.write(summary(claims) + "\n")
 
 

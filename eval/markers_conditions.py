@@ -7,9 +7,10 @@ leaves open (rho, the size of the person in the pictures, hence how dense false 
 how far persons move from frame to frame). Conditions change one of these against `table` or against `source`, which has
 the joints and the known body; the last ones change two or three together.
 
-    python -m eval.markers_conditions [--frames 45] [--seeds 1] [--only walk,jog]
+    python -m eval.markers_conditions [--frames 45] [--seeds 1] [--only walk,jog] [--conditions NAME ...]
 
-Writes eval/results/markers_conditions.csv. About 15 minutes on one core.
+Writes eval/results/markers_conditions.csv. About 20 minutes on one core. Lines of actions and conditions that were not
+asked for stay as an earlier call wrote them.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from eval.decomposition.tables import read_csv
 from eval.markers_table_6_3 import (
     PUBLISHED,
     PUBLISHED_AVERAGE,
@@ -72,6 +74,7 @@ class Condition:
 SOURCE = Condition(in_joints=True, knows_body=True)
 _OPEN, _FINE = replace(SOURCE, hides=False), replace(SOURCE, times_fps=2)
 _EXACT, _FOUND = replace(TABLE_DETECTOR, variance=0), replace(TABLE_DETECTOR, rate=1.0)
+_MANY, _BOTH = replace(TABLE_FILTER, n_particles=3000), replace(TABLE_FILTER, cost="both")
 CONDITIONS = {
     "table": Condition(),
     "table, markers in the joints": Condition(in_joints=True),
@@ -88,7 +91,7 @@ CONDITIONS = {
     "source, pictures x 3": replace(SOURCE, magnification=3.0),
     **{f"source, filter's noise x {k}": replace(SOURCE, noise_scale=float(k)) for k in (0.25, 0.5, 2, 3)},
     "source, reprojection term": replace(SOURCE, filter=replace(TABLE_FILTER, cost="reprojection")),
-    "source, both terms": replace(SOURCE, filter=replace(TABLE_FILTER, cost="both")),
+    "source, both terms": replace(SOURCE, filter=_BOTH),
     "source, nothing hidden": _OPEN,
     "source, 60 frames/s": _FINE,
     "source, nothing hidden, every marker found": replace(_OPEN, detector=_FOUND),
@@ -98,6 +101,15 @@ CONDITIONS = {
     "source, 60 frames/s, nothing hidden": replace(_FINE, hides=False),
     "source, 60 frames/s, nothing hidden, rho 40 px": replace(_FINE, hides=False, gate_px=40.0),
     "source, 60 frames/s, nothing hidden, every marker found": replace(_FINE, hides=False, detector=_FOUND),
+    "source, 60 frames/s, nothing hidden, rho 10 px": replace(_FINE, hides=False, gate_px=10.0),
+    "source, 60 frames/s, nothing hidden, pictures x 2": replace(_FINE, hides=False, magnification=2.0),
+    "source, 60 frames/s, nothing hidden, filter's noise x 1.5": replace(_FINE, hides=False, noise_scale=1.5),
+    "source, 60 frames/s, nothing hidden, 3 x 3000 particles": replace(_FINE, hides=False, filter=_MANY),
+    "source, 60 frames/s, nothing hidden, both terms": replace(_FINE, hides=False, filter=_BOTH),
+    "source, 60 frames/s, nothing hidden, both terms, every marker found": replace(
+        _FINE, hides=False, filter=_BOTH, detector=_FOUND
+    ),
+    "source, 120 frames/s, nothing hidden": replace(SOURCE, hides=False, times_fps=4),
 }
 
 
@@ -144,10 +156,11 @@ def run(clip: Clip, person: Prepared, name: str, seed: int) -> dict[str, Any]:
     return {"condition": name, **run_cell(seen, person, one.detector, one.filter, seed, settings)}
 
 
-def rows_of(action: str, n_frames: int, seeds: int) -> list[dict[str, Any]]:
-    """Every condition on one action; what shares a film and a person is run together."""
+def rows_of(action: str, n_frames: int, seeds: int, chosen: Sequence[str]) -> list[dict[str, Any]]:
+    """The chosen conditions on one action; what shares a film and a person is run together."""
     films: dict[tuple[bool, bool, int, bool], list[str]] = {}
-    for name, c in CONDITIONS.items():
+    for name in chosen:
+        c = CONDITIONS[name]
         films.setdefault((c.in_joints, c.hides, c.times_fps, c.knows_body), []).append(name)
     rows = []
     for (in_joints, hides, times_fps, _), names in films.items():
@@ -157,6 +170,20 @@ def rows_of(action: str, n_frames: int, seeds: int) -> list[dict[str, Any]]:
             if person is not None:
                 rows += [run(clip, person, name, seed) for name in names]
     return rows
+
+
+def with_kept(rows: Sequence[dict[str, Any]], before: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """New rows and those of earlier calls that they do not replace, ordered by action and condition."""
+
+    def key(row: dict[str, Any]) -> tuple[int, int, int]:
+        return (
+            list(PUBLISHED).index(row["action"]),
+            list(CONDITIONS).index(row["condition"]),
+            int(row["seed"]),
+        )
+
+    found = {key(row): row for row in (*before, *rows) if row["condition"] in CONDITIONS}
+    return [found[k] for k in sorted(found)]
 
 
 def say(rows: Sequence[dict[str, Any]]) -> None:
@@ -170,12 +197,12 @@ def say(rows: Sequence[dict[str, Any]]) -> None:
         if not own:
             continue
         values = [
-            float(np.mean([r[f] for r in own if r[f] is not None]))
+            float(np.mean([float(r[f]) for r in own if r[f] not in (None, "")]))
             for f in ("mean_error_mm", "mmtp_mm", "mmta_percent")
         ]
         shares = []
         for action in PUBLISHED:
-            found = [r["mmta_percent"] for r in own if r["action"] == action]
+            found = [float(r["mmta_percent"]) for r in own if r["action"] == action]
             shares.append(f"{np.mean(found):.0f}" if found else "-")
         print(f"{name:60}{values[0]:9.1f}{values[1]:8.1f}{values[2]:8.1f}   {' '.join(shares)}")
 
@@ -188,12 +215,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--frames", type=int, default=45, help="frames per clip (default 45)")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--only", default=",".join(PUBLISHED), help="comma-separated actions")
+    parser.add_argument("--conditions", nargs="+", default=list(CONDITIONS), choices=list(CONDITIONS))
     options = parser.parse_args(argv)
     rows: list[dict[str, Any]] = []
     for action in options.only.split(","):
-        rows += rows_of(action, options.frames, options.seeds)
+        rows += rows_of(action, options.frames, options.seeds, options.conditions)
         print(f"{action}: done", file=sys.stderr, flush=True)
-    write_csv(RESULTS, list(rows[0]), rows)
+    fields = list(rows[0])
+    rows = with_kept(rows, read_csv(RESULTS))
+    write_csv(RESULTS, fields, rows)
     say(rows)
     return 0
 

@@ -130,7 +130,7 @@ def run_tables(name: str, tables: Sequence[Table], seeds: Seeds, *, store: Path 
     rows = dict(zip(cells, run_cells(cells, n_workers=seeds.n_workers, path=store), strict=True))
     own = {table.name: [rows[cell] for cell in dict.fromkeys(table.cells)] for table in chosen}
     lines = {table.name: result_lines(table, own[table.name]) for table in chosen}
-    claims = {table.name: _claims_of(table, own[table.name]) for table in chosen}
+    claims = {table.name: claims_of(table, own[table.name]) for table in chosen}
     orders = {of: [claim_line(claim) for claim in found] for of, found in claims.items()}
     _write_tables(RESULTS / f"decomposition_{name}.csv", RESULT_FIELDS, tables, lines)
     _write_tables(RESULTS / f"decomposition_{name}_ranking.csv", CLAIM_FIELDS, tables, orders)
@@ -139,7 +139,7 @@ def run_tables(name: str, tables: Sequence[Table], seeds: Seeds, *, store: Path 
     return [claim for found in claims.values() for claim in found]
 
 
-def _claims_of(table: Table, rows: Sequence[Row]) -> list[Claim]:
+def claims_of(table: Table, rows: Sequence[Row]) -> list[Claim]:
     return claims_between(
         table.name, rows, cell_fields=table.cell_fields, pairs=table.pairs, name_of=table.name_of
     )

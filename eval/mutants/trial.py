@@ -2,27 +2,41 @@
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from eval.mutants.registry import ROOT, Mutant
 
 _COPIED = ("mocap", "tests", "eval", "docs", "pyproject.toml", "CHANGELOG.md", "README.md", "Makefile")
+RESULTS_NAME = "mutants.csv"
 _TIMEOUT_S = 600  # a mutant that never ends is noticed too
 _OPTIONS = ("-q", "-x", "-n", "0", "-p", "no:cacheprovider", "--assert=plain")
 _LIBRARIES = ("numpy", "scipy.optimize", "scipy.stats", "numba", "cv2", "pytest", "hypothesis")
 
 
-def try_all(mutants: Iterable[Mutant], folder: Path) -> list[str]:
-    """Names of the mutants that no test noticed.  folder : an empty one.
+def checkout_digest(root: Path = ROOT) -> str:
+    """Hash of all that a trial copies: names and bytes."""
+    digest = hashlib.sha256()
+    for name in _COPIED:
+        for path in sorted([root / name] if (root / name).is_file() else (root / name).rglob("*")):
+            if path.is_file() and "__pycache__" not in path.parts and RESULTS_NAME not in path.name:
+                digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
+    return digest.hexdigest()
 
+
+def try_all(mutants: Iterable[Mutant], folder: Path, kept: dict[str, bool], keep: Callable[[], None]) -> None:
+    """Try the mutants of which it is not known yet whether a test notices them.
+
+    folder : an empty one.  kept : name -> noticed, grows.  keep : called after every trial, so that a run that is
+    stopped need not begin again.
     Raises RuntimeError when tests fail without any mutant: they would prove nothing.
     """
     copy = folder / "copy"
@@ -33,8 +47,9 @@ def try_all(mutants: Iterable[Mutant], folder: Path) -> list[str]:
         elif (ROOT / name).is_file():
             shutil.copy(ROOT / name, copy / name)
     healthy: set[tuple[tuple[str, ...], bool]] = set()
-    survivors = []
     for mutant in mutants:
+        if mutant.name in kept:
+            continue
         key = (mutant.tests, mutant.is_compiled)
         if key not in healthy:
             if not passes(mutant, copy, folder):
@@ -46,9 +61,8 @@ def try_all(mutants: Iterable[Mutant], folder: Path) -> list[str]:
         is_alive = passes(mutant, copy, folder)
         path.write_text(text, "utf-8")
         print(f"{'SURVIVED' if is_alive else 'killed'}  {mutant.name}  {mutant.file}", flush=True)
-        if is_alive:
-            survivors.append(mutant.name)
-    return survivors
+        kept[mutant.name] = not is_alive
+        keep()
 
 
 def passes(mutant: Mutant, copy: Path, folder: Path) -> bool:

@@ -380,3 +380,56 @@ def test_failing_orders_add_up() -> None:
     holds = sum(float(c["ratio"]) < 1 for c in known)
     assert int(rows[-1][1]) == len(known) - holds == sum(int(row[1]) for row in rows[:-1])
     assert int(rows[-1][2]) == len(known) >= sum(int(row[2]) for row in rows[:-1])
+
+
+def test_the_committed_tables_are_those_of_the_committed_cells() -> None:
+    """Every line whose cells are committed, recomputed from them: errors, runs, ratios and verdicts."""
+    from eval import (
+        decomposition_own_worlds,
+        decomposition_sw_tables,
+        decomposition_xn_4,
+        decomposition_xn_5,
+        decomposition_xn_6,
+    )
+    from eval.decomposition.tables import claim_line, claims_of, read_csv, result_lines
+
+    scripts = {
+        "sw": decomposition_sw_tables.tables,
+        "xn_4": decomposition_xn_4.tables,
+        "xn_5": decomposition_xn_5.tables,
+        "xn_6": decomposition_xn_6.tables,
+        "own_worlds": lambda seeds: [decomposition_own_worlds.own_worlds(seeds)],
+    }
+    timed = ("resampling_ms", "swapping_ms", "step_ms")
+    checked = []
+    for name, tables_of in scripts.items():
+        cells = read_rows(store.RESULTS / f"decomposition_{name}_cells.csv")
+        lines = read_csv(store.RESULTS / f"decomposition_{name}.csv")
+        orders = read_csv(store.RESULTS / f"decomposition_{name}_ranking.csv")
+        is_own = name == "own_worlds"
+        first, frames = (3000, 100) if is_own else (0, 150)
+        for n_runs in sorted({int(line["runs"]) for line in lines}):
+            seeds = Seeds(
+                tuple(range(first, first + 5)), tuple(range(n_runs // 5)), 1, is_own, n_frames=frames
+            )
+            for table in tables_of(seeds):
+                kept = [line for line in lines if line["table"] == table.name]
+                keys = [tuple(cell.key().values()) for cell in dict.fromkeys(table.cells)]
+                if not keys or any(key not in cells for key in keys) or kept[0]["runs"] != str(n_runs):
+                    continue
+                rows = [cells[key] for key in keys]
+                again = result_lines(table, rows)
+                for ours, theirs in zip(again, kept, strict=True):
+                    assert {k: v for k, v in ours.items() if k not in timed} == {
+                        k: v for k, v in theirs.items() if k not in timed
+                    }
+                claims = [claim_line(claim) for claim in claims_of(table, rows)]
+                assert claims == [order for order in orders if order["table"] == table.name]
+                checked.append(table.name)
+    assert {"XN Table 6.1", "XN Figure 5-9", "XN Figure 5-12", "Own worlds, SW and XN 4-5"} <= set(checked)
+
+
+def test_the_committed_page_is_that_of_the_committed_files() -> None:
+    import eval.decomposition_page as pages
+
+    assert pages.PAGE.read_text("utf-8") == pages.page(), "run python -m eval.decomposition_page"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from test_markers_table import clip, known_person
 
-from eval.markers_conditions import CONDITIONS, PERFECT, SOURCE, joint_markers, magnified
+from eval.markers_conditions import CONDITIONS, PERFECT, SOURCE, joint_markers, magnified, with_kept
 from eval.markers_table_6_3 import TABLE_DETECTOR, TABLE_FILTER, make_clip, observations, run_cell
 from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.markers import marker_positions
@@ -59,3 +59,20 @@ def test_a_finer_film_shows_the_same_motion_and_what_hides_nothing_is_seen_every
     np.testing.assert_allclose(fine.landmarks[::2], plain.landmarks, atol=1e-3)
     assert not all(seen.all() for seen in plain.visible)
     assert all(seen.all() for seen in fine.visible)
+
+
+def test_conditions_that_are_not_run_stay_as_they_are() -> None:
+    """A later call replaces its own lines, keeps the others, and forgets conditions that are no more."""
+    before = [
+        {"condition": name, "action": action, "seed": "0", "mmta_percent": "1"}
+        for action in ("jog", "walk")
+        for name in ("source", "table", "of yesterday")
+    ]
+    new = [{"condition": "source", "action": "jog", "seed": 0, "mmta_percent": 2}]
+    rows = with_kept(new, before)
+    assert [(r["action"], r["condition"], str(r["mmta_percent"])) for r in rows] == [
+        ("walk", "table", "1"),
+        ("walk", "source", "1"),
+        ("jog", "table", "1"),
+        ("jog", "source", "2"),
+    ]

@@ -1,10 +1,13 @@
 """The list of mutants fits the code it mutates. Whether tests notice them is tried by `make mutants`."""
 
+import json
 from pathlib import Path
 
 import pytest
 
+from eval.mutants.__main__ import kept_of
 from eval.mutants.registry import Mutant, load_mutants
+from eval.mutants.trial import checkout_digest, try_all
 
 
 def test_every_mutant_can_be_planted() -> None:
@@ -50,3 +53,22 @@ def test_names_are_unique(tmp_path: Path) -> None:
     path.write_text(entry * 2)
     with pytest.raises(ValueError, match="twice: a"):
         load_mutants(path)
+
+
+def test_what_is_known_counts_until_the_checkout_changes(tmp_path: Path) -> None:
+    (tmp_path / "mocap").mkdir()
+    (tmp_path / "mocap" / "a.py").write_text("x = 1\n")
+    before = checkout_digest(tmp_path)
+    store = tmp_path / "mutants.json"
+    assert kept_of(before, store) == {}
+    store.write_text(json.dumps({"of": before, "noticed": {"a": True, "b": False}}))
+    assert kept_of(checkout_digest(tmp_path), store) == {"a": True, "b": False}
+    (tmp_path / "mocap" / "a.py").write_text("x = 2\n")
+    assert kept_of(checkout_digest(tmp_path), store) == {}
+
+
+def test_a_mutant_that_is_known_is_not_tried_again(tmp_path: Path) -> None:
+    known = Mutant("known", "no_such_file.py", "x", "y", ("tests/no_such_test.py",))
+    kept = {"known": False}
+    try_all([known], tmp_path, kept, lambda: pytest.fail("nothing was tried"))
+    assert kept == {"known": False}

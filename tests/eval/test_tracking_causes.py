@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from eval import tracking_page
+from eval.tracking import walkers
 from eval.tracking.hulls import HullClip
-from eval.tracking_causes import CLOTHES, crossing_clip, slowed, surface_lines
+from eval.tracking.walkers import CLOTHES, Dirt, carved_clip, crossing_clip, ellipsoid
+from eval.tracking_causes import slowed, surface_lines
 
 
 def small() -> HullClip:
@@ -39,6 +41,28 @@ def test_two_persons_cross_and_wear_their_own_colours() -> None:
         near = np.linalg.norm(hull.grid.centers(hull.voxels)[:, :2] - first[k, :2], axis=1) < 0.25
         assert near.any()
         assert np.all(hull.rgb[near] == CLOTHES[k])
+
+
+def test_carved_hulls_hold_the_persons_and_what_spoils_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(walkers, "_HALF_WAY_M", 0.3)
+    clean, torn, trolley = (
+        carved_clip(0.8, 0.1, dirt, 1) for dirt in (Dirt(), Dirt(is_torn=True), Dirt(has_trolley=True))
+    )
+    assert len(clean.hulls) == len(clean.frames) == 10
+    for frame, hull in enumerate(clean.hulls):
+        places = clean.truth.xyz[clean.truth.frame == frame]
+        inner = np.union1d(*(ellipsoid(hull.grid, p, 0.8 * np.array(walkers._PERSON_SEMI_M)) for p in places))
+        assert np.isin(inner, hull.voxels).all()
+        missing = np.isin(inner, torn.hulls[frame].voxels, invert=True).mean()
+        assert 0.0 <= missing < 0.9
+        extra = np.setdiff1d(trolley.hulls[frame].voxels, hull.voxels)
+        assert len(extra) > 0
+    assert any(
+        np.isin(h.voxels, t.voxels, invert=True).any() for h, t in zip(clean.hulls, torn.hulls, strict=True)
+    )
+    rgb = np.concatenate([h.rgb for h in trolley.hulls]).astype(int)
+    grey = np.abs(rgb - walkers._GREY).max(axis=1) < 60
+    assert 0.1 < grey.mean() < 0.9
 
 
 def test_the_surface_needs_more_voxels_than_the_interior(monkeypatch: pytest.MonkeyPatch) -> None:
