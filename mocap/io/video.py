@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import re
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Camera, CameraRig
+from mocap.data.depth import DepthUnits
 from mocap.errors import MocapError
 from mocap.files import array_names, load_arrays, read_head
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
@@ -33,6 +35,7 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
 
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
+DepthMap = NDArray[np.float32]
 Picture = TypeVar("Picture", bound=NDArray[Any])
 Picture_co = TypeVar("Picture_co", bound=NDArray[Any], covariant=True)
 Size = tuple[int, int]
@@ -215,6 +218,10 @@ class _Reader(ABC, Generic[Picture]):
     def _open(self, camera: int) -> _Clip[Picture]:
         """The clip of one camera, by its place in the rig."""
 
+    def _in_size(self, camera: int, picture: Picture) -> Picture:
+        """A picture of one camera as filmed, in the camera's size."""
+        return in_size_of(self._cameras[camera], picture)
+
 
 class FrameReader(_Reader[Image]):
     """Reads the pictures of all cameras frame by frame: iterate for (frame, tuple of (H, W, 3) uint8 RGB).
@@ -249,6 +256,42 @@ class MaskReader(_Reader[Mask]):
         if path.suffix.lower() == ".npz":
             return _NpzMasks(path, name, size)
         return _MaskClip(path, name, size)
+
+
+class DepthReader(_Reader[DepthMap]):
+    """Reads depth maps like FrameReader: iterate for (frame, tuple of (H, W) float32 m, 0 = no reading).
+
+    sources : camera name -> folder of 16-bit grey PNG.  units : what their numbers and pixels are.
+    Every pixel of a camera takes the reading at its middle: means would mix what lies one behind the other.
+    Raises MocapError also for pictures that are no depth maps.
+    """
+
+    def __init__(
+        self,
+        sources: Mapping[str, Path],
+        rig: CameraRig,
+        frames: Sequence[int],
+        units: DepthUnits,
+        *,
+        clip_frames: ClipFrames | None = None,
+    ) -> None:
+        super().__init__(sources, rig, frames, clip_frames=clip_frames)
+        self._units = units
+
+    def __enter__(self) -> DepthReader:
+        return self
+
+    def _open(self, camera: int) -> _Clip[DepthMap]:
+        size = self._units.size_of(self._filmed_size(camera))
+        return _DepthClip(self._sources[camera], self._names[camera], size, self._units.unit_mm)
+
+    def _in_size(self, camera: int, picture: DepthMap) -> DepthMap:
+        own = self._cameras[camera]
+        width, height = own.size
+        step = (own.filmed_size or own.size)[0] // width * self._units.scale
+        rows = ((np.arange(height) + 0.5) * step).astype(np.int64)
+        columns = ((np.arange(width) + 0.5) * step).astype(np.int64)
+        return np.asarray(picture[np.ix_(rows, columns)])
 
 
 class _Failure:
@@ -306,7 +349,7 @@ class _Worker(Generic[Picture]):
                             frame=clip.place(frame),
                             remedy=_REMEDY_CUT,
                         )
-                    pictures.append(in_size_of(self._reader._cameras[camera], picture))
+                    pictures.append(self._reader._in_size(camera, picture))
                 if not self._put(pictures):
                     return
         except Exception as error:
@@ -438,6 +481,58 @@ class _MaskClip:
     def close(self) -> None:
         if self._video is not None:
             self._video.close()
+
+
+class _DepthClip:
+    def __init__(self, path: Path, camera: str, size: Size, unit_mm: float) -> None:
+        self._files = list_depth_maps(path, camera)
+        self._camera, self._size, self._unit_m = camera, size, np.float32(unit_mm / 1000.0)
+
+    def read(self, frame: int) -> DepthMap | None:
+        if frame >= len(self._files):
+            return None
+        file = self._files[frame]
+        picture = _read_picture(file, self._camera, frame, self._size)
+        if picture.dtype != np.uint16 or picture.ndim != 2:
+            raise MocapError(
+                f"a depth map has 16 bits in one channel, this picture has {8 * picture.itemsize} in "
+                f"{1 if picture.ndim == 2 else picture.shape[2]}: it was made to look at",
+                path=file,
+                camera=self._camera,
+                frame=frame,
+                remedy="export the measured numbers as 16-bit grey PNG, and say their unit in session.toml: "
+                "[depth] unit_mm",
+            )
+        return picture.astype(np.float32) * self._unit_m
+
+    def close(self) -> None:
+        self._files = []
+
+
+def list_depth_maps(folder: Path, camera: str) -> list[Path]:
+    """The PNG files of a folder of depth maps in natural order.
+
+    Raises MocapError when there are none, and when the numbers in their names leave one out.
+    """
+    files = [p for p in list_pictures(folder) if p.suffix.lower() == ".png"]
+    if not files:
+        raise MocapError(
+            "the folder holds no depth map",
+            path=folder,
+            camera=camera,
+            remedy="put 16-bit grey PNG files there, one for every frame (docs/depth.md)",
+        )
+    numbers = [int(found[-1]) if (found := re.findall(r"\d+", p.stem)) else None for p in files]
+    for frame, (a, b) in enumerate(pairwise(numbers), start=1):
+        if a is not None and b is not None and b > a + 1:
+            raise MocapError(
+                f"a depth map is missing: after {files[frame - 1].name} comes {files[frame].name}",
+                path=folder,
+                camera=camera,
+                frame=frame,
+                remedy="put a map of zeros where the camera has measured nothing, or number the files without gaps",
+            )
+    return files
 
 
 class _NpzMasks:

@@ -68,6 +68,11 @@ class VolumeConfig(_Section):
     occluders: Literal["learn", "ignore"] = "learn"
     """What stands still between cameras and people: `learn` it from the silhouettes, so that no camera speaks of what
     it cannot see; `ignore` = every camera judges its whole picture."""
+    depth_noise_m: float = Field(default=0.003, ge=0.0, le=0.1)
+    """Standard deviation of a depth camera's readings next to it, m; depth/ of a session is always used."""
+    depth_noise_per_m: float = Field(default=0.0015, ge=0.0, le=0.1)
+    """By how much it grows with the square of the distance, m per m^2: 0.001 to 0.002 for structured light and stereo
+    cameras; a time-of-flight camera is better far away."""
     visibility: Literal["line", "zbuffer"] = "line"
     """How cameras that see a voxel are found: a walk to the optical centre, or a depth buffer per camera."""
     on_bad_camera: Literal["warn", "exclude", "ignore"] = "exclude"

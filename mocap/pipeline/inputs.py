@@ -108,6 +108,7 @@ def input_files(session: Session) -> Iterator[tuple[str, Path]]:
         "roi": session.roi_sources,
         "detections": session.detection_sources,
         "keypoints": session.keypoint_sources,
+        "depth": session.depth_sources,
         "labels": {"labels": labels} if has_labels else {},
     }
     for kind, sources in kinds.items():

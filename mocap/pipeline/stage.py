@@ -57,7 +57,7 @@ class Seen:
     """One frame as a step is shown it: what its work reads, and what the stages before it have found in it.
 
     index : place in the clip.  pictures : (H, W, 3) uint8 RGB of every camera, empty of one that gives none now.
-    masks : (H, W) bool of every camera.
+    masks : (H, W) bool of every camera.  depth : (H, W) float32 m of every camera with depth maps, 0 = no reading.
     tracks : those of the tracker in this frame, as they are called until now.  owner : (N,) serial + 1 of the track
     that holds each voxel of the hull, 0 = nobody.
     """
@@ -66,6 +66,7 @@ class Seen:
     frame: int
     pictures: Sequence[NDArray[np.uint8]] | None = None
     masks: Sequence[NDArray[np.bool_]] | None = None
+    depth: Sequence[NDArray[np.float32]] | None = None
     hull: Hull | None = None
     tracks: Sequence[Any] | None = None
     owner: NDArray[np.uint32] | None = None

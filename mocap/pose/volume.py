@@ -64,7 +64,8 @@ class PersonHull:
     outlines : makes the person's outlines in the cameras, or None where there are no masks.
     rays : makes the rays through the person's pixels, or None where there are no pictures.
     unknown : (U,) int32 ascending, voxels around the person that too few cameras can judge.  n_judges : how many
-    cameras can judge points (N, 3) m, (N,), or None when nothing is known to hide people.
+    cameras can judge points (N, 3) m, (N,), or None when nothing is known to hide people.  measured : (N, 3) m, where
+    depth maps have measured the surface of each voxel, NaN = nowhere; None without depth maps.
     """
 
     voxels: NDArray[np.int32]
@@ -73,6 +74,7 @@ class PersonHull:
     rays: Callable[[], PixelRays] | None = None
     unknown: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     n_judges: Callable[[Array], NDArray[np.int64]] | None = None
+    measured: NDArray[np.float32] | None = None
 
 
 HullOf = Callable[[int], PersonHull | None]
@@ -139,6 +141,8 @@ class VolumeTools(PersonTools):
         with part("volume and surface"):
             volume = pack_volume(self.grid, hull, settings.surface_sigma_voxels, margin_m)
             surface = hull_surface(hull.voxels, hull.is_surface, self.grid, volume)
+            if hull.measured is not None:
+                surface = surface.at(hull.measured[hull.is_surface], self.surface_fit.measured_weight)
         with_outlines = hull.outlines is not None and settings.outline_weight > 0
         with part("outlines"):
             outlines = hull.outlines() if hull.outlines is not None and with_outlines else None

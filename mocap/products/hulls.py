@@ -2,7 +2,8 @@
 
 Per frame `voxels` (N,) int32, `is_surface` (N,) bool, `n_views` (N,) uint8, `rgb` (N, 3) uint8, `unknown` (U,) int32,
 the voxels around them that too few cameras can judge, `used` (C,) bool, the cameras that took part, and `pixel_camera`,
-`pixel_uv`, `pixel_rgb` of `SilhouettePixels`; grid and camera faults in the attributes.
+`pixel_uv`, `pixel_rgb` of `SilhouettePixels`; grid and camera faults in the attributes. In sessions with depth maps
+also `measured_row` (S,) int32 and `measured_xyz` (S, 3) float32 m: voxels whose surface was measured, and where.
 """
 
 from __future__ import annotations
@@ -24,10 +25,15 @@ PRODUCT = "carve"
 
 
 def hull_row(
-    hull: Hull, unknown: Voxels, used: NDArray[np.bool_], pixels: SilhouettePixels
+    hull: Hull,
+    unknown: Voxels,
+    used: NDArray[np.bool_],
+    pixels: SilhouettePixels,
+    measured: NDArray[np.float32] | None = None,
 ) -> dict[str, NDArray[np.generic]]:
-    """The arrays of one frame.  unknown : (U,) int32, ascending.  used : (C,)."""
-    return {
+    """The arrays of one frame.  unknown : (U,) int32, ascending.  used : (C,).  measured : (N, 3) m, where the surface
+    of each voxel was measured, NaN = not; None = there are no depth maps."""
+    row: dict[str, NDArray[np.generic]] = {
         "voxels": hull.voxels,
         "is_surface": hull.is_surface,
         "n_views": hull.n_views,
@@ -38,6 +44,19 @@ def hull_row(
         "pixel_uv": pixels.uv,
         "pixel_rgb": pixels.rgb,
     }
+    if measured is not None:
+        rows = np.flatnonzero(np.isfinite(measured[:, 0])).astype(np.int32)
+        row |= {"measured_row": rows, "measured_xyz": measured[rows]}
+    return row
+
+
+def measured_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> NDArray[np.float32] | None:
+    """Where the surface of each voxel of one frame was measured, (N, 3) m, NaN = not; None without depth maps."""
+    if "measured_row" not in arrays:
+        return None
+    measured = np.full((len(arrays["voxels"]), 3), np.nan, dtype=np.float32)
+    measured[arrays["measured_row"].astype(np.int64)] = arrays["measured_xyz"]
+    return measured
 
 
 def hull_attrs(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.errors import MocapError
+from mocap.synth.depth import DepthConfig, measured_depth
 from mocap.synth.render import GAMMA, CameraView, PosedScene, make_sensor
 from mocap.synth.views import Witness
 from mocap.synth.world import World
@@ -90,6 +91,12 @@ class Recorder:
         _, image, mask = self._last
         self._masks.append(np.packbits(mask, axis=1))
         self._testify(frame, moments)
+        depth = self._world.scene.depth
+        if depth is not None and self._name in depth.cameras:
+            _write_picture(
+                self._folder / "depth" / self._name / f"{frame:06d}.png",
+                self._measure_depth(frame, moments, depth),
+            )
         if self._world.scene.masks_only:
             _write_picture(
                 self._folder / "masks" / self._name / f"{frame:06d}.png", mask.astype(np.uint8) * 255
@@ -137,6 +144,16 @@ class Recorder:
         rng = self._world.rng(9, self._order, shot)
         image = self._sensor.expose(picture, shot, light=float(time.gain[frame]), rng=rng)
         return self._compressed(image), mask
+
+    def _measure_depth(self, frame: int, moments: Moments, config: DepthConfig) -> NDArray[np.uint16]:
+        """The depth map of one picture, measured in an instant; zeros while the camera is off."""
+        time, world = self.timeline, self._world
+        width, height = world.scene.rig.size_px
+        if time.is_off[frame]:
+            return np.zeros((height, width), np.uint16)
+        view = self._view(int(time.pose[frame]), int(time.state[frame]))
+        true = view.true_depth(moments.at(time.instant[frame]), world.things, world.looks)
+        return measured_depth(true, config, rng=world.rng(13, self._order, int(time.shot[frame])))
 
     def _testify(self, frame: int, moments: Moments) -> None:
         """Note what the picture shows of every person."""
@@ -200,7 +217,9 @@ class _Clip:
             self._writer.release()
 
 
-def _write_picture(path: Path, picture: NDArray[np.uint8], options: list[int] | None = None) -> None:
+def _write_picture(
+    path: Path, picture: NDArray[np.uint8] | NDArray[np.uint16], options: list[int] | None = None
+) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), picture, options or []):
         raise MocapError("the picture cannot be written", path=path, remedy="check that the disk has space")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mocap.data import Camera
 from mocap.errors import MissingExtra
 from mocap.synth._render_kernels import project_to_map
+from mocap.synth.depth import TrueDepth
 from mocap.synth.rooms import Room
 
 Array = NDArray[np.float64]
@@ -270,6 +271,7 @@ class CameraView:
             return depth, self.eye + depth[:, None] * directions, facing, owner[face]
 
         self.depth, self.points, normals, owners = hits(self.directions)
+        self._cosine = -np.einsum("ni,ni->n", normals, self.directions)
         albedo = np.zeros((w * h, 3))
         grid = self.directions.reshape(h, w, 3)
         along_v, along_u = np.asarray(np.gradient(grid, axis=0)), np.asarray(np.gradient(grid, axis=1))
@@ -355,6 +357,19 @@ class CameraView:
         picture[window][inner] = patch[inner]
         return picture, mask.reshape(h, w)
 
+    def true_depth(self, scene: PosedScene, bodies: tuple[Thing, ...], looks: tuple[Paint, ...]) -> TrueDepth:
+        """How far everything is, and what a depth camera's reading of it depends on."""
+        w, h = self.camera.size
+        distance, albedo, cosine = self.depth.astype(np.float64), np.ones(w * h), self._cosine.copy()
+        if scene.rays is not None:
+            pixels, hit = self._body_pixels(scene)
+            normals, colours = _surface(scene, bodies, looks, hit)
+            distance[pixels] = hit["tfar"]
+            albedo[pixels] = colours.mean(axis=1)
+            cosine[pixels] = np.abs(np.einsum("ni,ni->n", normals, self.directions[pixels]))
+        depth_m = distance * (self.directions @ self.camera.R[2].astype(np.float32))
+        return TrueDepth(depth_m.reshape(h, w), albedo.reshape(h, w), cosine.reshape(h, w))
+
     def silhouette(self, scene: PosedScene) -> Mask:
         """Visible bodies only, (H, W) bool."""
         w, h = self.camera.size
@@ -438,19 +453,8 @@ class CameraView:
         pixels: NDArray,
         hit: dict[str, NDArray],
     ) -> NDArray:
-        corner = scene.faces[hit["primID"]]
-        u, v = hit["u"][:, None].astype(np.float32), hit["v"][:, None].astype(np.float32)
-        weights = (1 - u - v, u, v)
-        rest = sum(scene.rest[corner[:, k]] * weights[k] for k in range(3))
-        normals = sum(scene.normals[corner[:, k]] * weights[k] for k in range(3)).astype(np.float32)
-        normals /= np.sqrt(np.einsum("ni,ni->n", normals, normals))[:, None] + np.float32(1e-9)
+        normals, albedo = _surface(scene, bodies, looks, hit)
         points = self.eye + hit["tfar"][:, None] * self.directions[pixels]
-        albedo = np.zeros((len(pixels), 3))
-        person = np.searchsorted(np.array(scene.first_vertex[1:]), corner[:, 0], side="right")
-        for i, thing in enumerate(scene.things):
-            mine = person == i
-            if mine.any():
-                albedo[mine] = looks[thing].albedo(bodies[thing], rest[mine])
         # Open sky above is brighter than the floor below.
         light = self.room.ambient.astype(np.float32) * (0.85 + 0.3 * normals[:, 2:])
         for lamp, maps in zip(self.room.lights, scene.maps, strict=True):
@@ -462,6 +466,25 @@ class CameraView:
                 arriving[square > reach * reach] = 0.0
                 light += arriving[:, None] * (lamp.power / len(some)).astype(np.float32)
         return albedo * light
+
+
+def _surface(
+    scene: PosedScene, bodies: tuple[Thing, ...], looks: tuple[Paint, ...], hit: dict[str, NDArray]
+) -> tuple[NDArray, NDArray]:
+    """Unit normals and albedos, each (n, 3), of the bodies where rays have hit them."""
+    corner = scene.faces[hit["primID"]]
+    u, v = hit["u"][:, None].astype(np.float32), hit["v"][:, None].astype(np.float32)
+    weights = (1 - u - v, u, v)
+    rest = sum(scene.rest[corner[:, k]] * weights[k] for k in range(3))
+    normals = sum(scene.normals[corner[:, k]] * weights[k] for k in range(3)).astype(np.float32)
+    normals /= np.sqrt(np.einsum("ni,ni->n", normals, normals))[:, None] + np.float32(1e-9)
+    albedo = np.zeros((len(corner), 3))
+    person = np.searchsorted(np.array(scene.first_vertex[1:]), corner[:, 0], side="right")
+    for i, thing in enumerate(scene.things):
+        mine = person == i
+        if mine.any():
+            albedo[mine] = looks[thing].albedo(bodies[thing], rest[mine])
+    return normals, albedo
 
 
 def _arriving(

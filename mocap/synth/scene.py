@@ -9,6 +9,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from mocap.errors import MocapError, did_you_mean
 from mocap.files import load_toml
+from mocap.synth.depth import DepthConfig
 from mocap.synth.faults import KINDS as _FAULT_KINDS
 from mocap.synth.faults import Fault, find_mistakes
 from mocap.synth.furniture import KINDS as _FURNITURE_KINDS
@@ -80,12 +81,21 @@ class Scene(_Section):
     picture: PictureConfig = Field(default_factory=lambda: PictureConfig.model_validate({}))
     persons: tuple[Person, ...] = ()
     markers: MarkerConfig | None = None
+    depth: DepthConfig | None = None
+    """Cameras that measure depth beside their pictures: depth/CAM/*.png."""
     faults: tuple[Fault, ...] = ()
 
     @model_validator(mode="after")
     def _faults_fit(self) -> Scene:
         if wrong := find_mistakes(self.faults, self.rig.names, self.n_frames):
             raise ValueError("; ".join(wrong))
+        return self
+
+    @model_validator(mode="after")
+    def _depth_cameras(self) -> Scene:
+        names = () if self.depth is None else self.depth.cameras
+        if strangers := [name for name in names if name not in self.rig.names]:
+            raise ValueError(f"depth.cameras: the rig has no camera {', '.join(strangers)}")
         return self
 
 

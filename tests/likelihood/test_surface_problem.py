@@ -262,3 +262,23 @@ def test_an_empty_hull_pulls_nowhere(coarse_flesh: Flesh) -> None:
     assert not H.any()
     assert not g.any()
     assert problem.layout.n_columns == 27
+
+
+def test_measured_points_stand_half_a_voxel_outside_and_the_others_stay(coarse_flesh: Flesh) -> None:
+    grid = coarse_flesh.grid
+    every = np.arange(grid.n_voxels, dtype=np.int32)
+    voxels = every[np.linalg.norm(grid.centers(every) - [0.1, 0.0, 1.1], axis=1) <= 0.3]
+    hull = PersonHull(voxels, surface_voxels(voxels, grid))
+    surface = hull_surface(hull.voxels, hull.is_surface, grid, pack_volume(grid, hull, 1.0))
+    measured = np.full(surface.points.shape, np.nan, dtype=np.float32)
+    measured[::3] = surface.points[::3] + np.array([0.01, -0.02, 0.005])
+    moved = surface.at(measured)
+    half_m = 0.5 * grid.voxel_size_m
+    np.testing.assert_allclose(moved.points[::3], measured[::3] + half_m * surface.normals[::3], atol=1e-6)
+    rest = np.arange(len(measured)) % 3 > 0
+    np.testing.assert_array_equal(moved.points[rest], surface.points[rest])
+    assert moved.volume is surface.volume
+    doubled = surface.at(measured, 2)
+    assert len(doubled.points) == len(measured) + len(measured[::3])
+    np.testing.assert_array_equal(doubled.points[:2], moved.points[[0, 0]])
+    np.testing.assert_array_equal(doubled.normals[:3], surface.normals[[0, 0, 1]])

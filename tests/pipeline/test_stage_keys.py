@@ -47,7 +47,7 @@ ALWAYS_IN_THE_KEY = {
         "mask_sources",
         "detection_sources",
     ),
-    "keypoint_sources",
+    *("keypoint_sources", "depth_sources"),
     *("roi_sources", "clips", "root"),
 }
 

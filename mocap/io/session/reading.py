@@ -10,7 +10,7 @@ from mocap.data.keypoints import Figures
 from mocap.io.detections import read_detections
 from mocap.io.keypoints import read_keypoints
 from mocap.io.session.record import Session
-from mocap.io.video import FrameReader, Image, MaskReader
+from mocap.io.video import DepthReader, FrameReader, Image, MaskReader
 
 
 def pictures_of(
@@ -27,6 +27,13 @@ def pictures_of(
 def masks_of(session: Session) -> MaskReader:
     """The masks of all cameras, frame by frame."""
     return MaskReader(session.mask_sources, session.rig, session.frames, clip_frames=session.clip_frames)
+
+
+def depth_of(session: Session, frames: Sequence[int] | None = None) -> DepthReader:
+    """The depth maps of the cameras that have some, frame by frame, in the order of the rig; of all frames or some."""
+    rig = session.rig.subset(list(session.depth_sources))
+    chosen = session.frames if frames is None else frames
+    return DepthReader(session.depth_sources, rig, chosen, session.depth, clip_frames=session.clip_frames)
 
 
 def clip_of(session: Session, camera: Camera) -> Iterator[Image]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import CameraRig
+from mocap.data.depth import DepthUnits
 from mocap.io.calibration import CalibrationFile
 from mocap.io.session.settings import Bounds, Polygon
 from mocap.io.video import ClipInfo
@@ -21,9 +22,10 @@ class Session:
 
     rig : the cameras with a source, in the order of the calibration.  frames : the frames to work on.
     image_sources, mask_sources : camera name -> path; each is either empty or covers the whole rig.
-    background_sources, detection_sources, keypoint_sources : camera name -> path; may cover the rig in part.
+    background_sources, detection_sources, keypoint_sources, depth_sources : camera name -> path; may cover the rig in
+    part.  depth : how depth maps are stored.
     clip_frames : camera name -> (frames.stop,) the picture of its clip that shows each frame; empty = picture k of
-    every clip shows frame k. Detections and keypoints count the pictures of their clip too.
+    every clip shows frame k. Detections, keypoints and depth maps count the pictures of their clip too.
     clips : camera name -> what was counted and measured of its pictures (else masks).
     room_bounds_m : (lower, upper) corners, m, world.  checkerboard : inner corners (columns, rows).
     roi_sources, roi_px : camera name -> picture that is not 0, or polygon of (u, v), where persons can be; cameras with
@@ -52,6 +54,8 @@ class Session:
     checkerboard: tuple[int, int] | None = None
     checkerboard_square_m: float | None = None
     keypoint_sources: dict[str, Path] = field(default_factory=dict)
+    depth_sources: dict[str, Path] = field(default_factory=dict)
+    depth: DepthUnits = field(default_factory=DepthUnits)
     roi_sources: dict[str, Path] = field(default_factory=dict)
     roi_px: dict[str, Polygon] = field(default_factory=dict)
     clip_frames: dict[str, NDArray[np.int64]] = field(default_factory=dict)

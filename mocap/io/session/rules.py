@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mocap.data import CameraRig
 from mocap.errors import MocapError
 from mocap.io.calibration import CalibrationFile, find_calibration, read_calibration
-from mocap.io.session import check
+from mocap.io.session import check, check_depth
 from mocap.io.session.frames import (
     check_clip_size,
     check_durations,
@@ -137,6 +137,9 @@ def _sizes(o: Opening) -> list[Finding]:
             clip = clip_info(path, camera=name, size=o.rig[name].size)
             check_clip_size(clip, o.rig[name])
             o.counted[f"{name} (masks)"] = clip
+    for name, folder in _of(o.rig, o.sources.depth).items():
+        size = o.settings.depth.size_of(o.rig[name].size)
+        o.counted[f"{name} (depth)"] = check_depth.depth_info(folder, name, size)
     return []
 
 
@@ -163,6 +166,15 @@ def _frames(o: Opening) -> list[Finding]:
     return []
 
 
+def _depth(o: Opening) -> list[Finding]:
+    """The numbers of depth maps have the unit that is said."""
+    for name, folder in _of(o.rig, o.sources.depth).items():
+        places = o.clip_frames.get(name)
+        first = o.frames.start if places is None else int(places[o.frames.start])
+        check_depth.check_unit(folder, o.rig[name], o.settings.depth, first)
+    return []
+
+
 OPENING: tuple[Callable[[Opening], list[Finding]], ...] = (
     _folder,
     _settings,
@@ -173,6 +185,7 @@ OPENING: tuple[Callable[[Opening], list[Finding]], ...] = (
     _sizes,
     _frame_rate,
     _frames,
+    _depth,
 )
 CHECKING: tuple[Callable[[Session], list[Finding]], ...] = (
     check.calibration,
@@ -181,6 +194,7 @@ CHECKING: tuple[Callable[[Session], list[Finding]], ...] = (
     check.clips,
     check.every_picture,
     check.keypoints,
+    check_depth.depth,
     check.background,
     check.calibration_quality,
 )
@@ -226,6 +240,8 @@ def open_session(
         checkerboard=o.settings.checkerboard,
         checkerboard_square_m=o.settings.checkerboard_square_m,
         keypoint_sources=_of(o.rig, o.sources.keypoints),
+        depth_sources=_of(o.rig, o.sources.depth),
+        depth=o.settings.depth,
         roi_sources=_of(o.rig, o.sources.roi),
         roi_px=_of(o.rig, o.settings.roi_px or {}),
         clip_frames=o.clip_frames,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mocap.data.depth import DepthUnits
 from mocap.errors import MocapError, did_you_mean
 from mocap.files import load_toml
 from mocap.io.units import AXES, UNITS, unit_from_word
@@ -48,6 +49,7 @@ class SessionSettings:
     roi_px: Mapping[str, Polygon] | None = None
     offset_s: Mapping[str, float] | None = None
     clip_fps: Mapping[str, float] | None = None
+    depth: DepthUnits = field(default_factory=DepthUnits)
 
 
 def read_session_settings(path: Path | str) -> SessionSettings:
@@ -57,7 +59,8 @@ def read_session_settings(path: Path | str) -> SessionSettings:
     "red" | "#rrggbb" | [r, g, b], cameras = ["camera name", ...] (the others are left out), calibration_units,
     calibration_up, checkerboard = [columns, rows] (inner corners), checkerboard_square_m, and the tables
     [camera_map] file name = "camera name", [roi_px] camera name = [[u, v], ...] (corners of a polygon), [offset_s]
-    camera name = seconds after the start of the session at which its clip begins, and [clip_fps] camera name = rate.
+    camera name = seconds after the start of the session at which its clip begins, [clip_fps] camera name = rate, and
+    [depth] unit_mm = millimetres that a number of a depth map stands for, scale = its pixels per pixel of the camera.
     Raises MocapError naming the key for anything else.
     """
     path = Path(path)
@@ -85,6 +88,7 @@ def read_session_settings(path: Path | str) -> SessionSettings:
         roi_px=_polygons(path, document),
         offset_s=_by_camera(path, document, "offset_s", -MOST_OFFSET_S, MOST_OFFSET_S),
         clip_fps=_by_camera(path, document, "clip_fps", 0.1, 10_000),
+        depth=_depth(path, document),
     )
 
 
@@ -126,6 +130,20 @@ def _by_camera(
         if not _is_number(number) or not low <= number <= high:
             raise bad_key(path, f"{key}.{name}", f"is {number!r}, expected a number from {low:g} to {high:g}")
     return {name: float(number) for name, number in value.items()}
+
+
+def _depth(path: Path, document: dict[str, Any]) -> DepthUnits:
+    value = document.get("depth", {})
+    limits = {"unit_mm": (0.001, 10_000.0), "scale": (0.05, 20.0)}
+    if not isinstance(value, dict) or (strangers := [key for key in value if key not in limits]):
+        what = f"has {strangers[0]!r}" if isinstance(value, dict) else "is no table"
+        raise bad_key(path, "depth", f"{what}, expected [depth] unit_mm = millimetres, scale = number")
+    for key, (low, high) in limits.items():
+        if key in value and not (_is_number(value[key]) and low <= value[key] <= high):
+            raise bad_key(
+                path, f"depth.{key}", f"is {value[key]!r}, expected a number from {low:g} to {high:g}"
+            )
+    return DepthUnits(**{key: float(number) for key, number in value.items()})
 
 
 def _frame_pair(path: Path, document: dict[str, Any]) -> tuple[int | None, int | None] | None:

@@ -11,6 +11,7 @@ from mocap.errors import MocapError
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
 from mocap.io.session.settings import SessionSettings, bad_key
 
+_BESIDE_PICTURES = ("masks", "background", "detections", "keypoints", "depth", "roi")
 # What Pose2Sim adds to a camera's name for the folder of its keypoints.
 _POSE2SIM = "_json"
 
@@ -27,6 +28,7 @@ class Sources:
     background: dict[str, Path]
     detections: dict[str, Path]
     keypoints: dict[str, Path]
+    depth: dict[str, Path]
     roi: dict[str, Path]
 
 
@@ -88,6 +90,7 @@ def match_sources(
         "masks": sources_in(root / "masks", VIDEO_SUFFIXES | IMAGE_SUFFIXES | {".npz"}),
         "detections": sources_in(root / "detections", frozenset({".csv"}), with_folders=False),
         "keypoints": keypoint_sources_in(root),
+        "depth": sources_in(root / "depth", frozenset()),
         "roi": sources_in(root / "roi", IMAGE_SUFFIXES, with_folders=False),
     }
     camera_map = settings.camera_map or {}
@@ -98,7 +101,7 @@ def match_sources(
     both = sorted(matched["videos"].keys() & matched["images"].keys(), key=natural_key)
     warnings = [f"videos/ and images/ both have camera {listed(both)}: the videos are used"] if both else []
     pictures = {**matched["images"], **matched["videos"]}
-    kept = {kind: matched[kind] for kind in ("masks", "background", "detections", "keypoints", "roi")}
+    kept = {kind: matched[kind] for kind in _BESIDE_PICTURES}
     return Sources(pictures, **kept), warnings
 
 

@@ -49,6 +49,9 @@ class SurfaceFitSettings:
     """Distance that opposite normals are worth when the nearest cone is chosen."""
     flesh_gain: float = 1.0
     """Total weight of the flesh points against that of the hull points."""
+    measured_weight: int = 4
+    """Hull points that a point counts for whose place a depth camera has measured: a hull's others lie centimetres
+    outside the body where few cameras see it. Chosen on depth_walk and depth_gesture (`python -m eval.depth`)."""
     penetration_gain: float = 1.0
     """Total weight of flesh points inside other parts against that of the hull points."""
 
@@ -60,6 +63,21 @@ class HullSurface:
     points: Array
     normals: Array
     volume: PackedVolume
+
+    def at(self, measured: NDArray[np.float32], weight: int = 1) -> HullSurface:
+        """The surface with its points where they were measured, (M, 3) m; NaN leaves a point where it is.
+
+        weight : times that a measured point is there. The body's surface itself is measured; a hull lies half a voxel
+        outside, and the points go there.
+        """
+        is_measured = np.isfinite(measured).all(axis=1)
+        points = self.points.copy()
+        half_m = 0.5 * self.volume.grid.voxel_size_m
+        points[is_measured] = measured[is_measured] + half_m * self.normals[is_measured]
+        times = np.where(is_measured, weight, 1)
+        return HullSurface(
+            np.repeat(points, times, axis=0), np.repeat(self.normals, times, axis=0), self.volume
+        )
 
     @cached_property
     def blocks(self) -> Blocks:

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Hull, Occluders, VoxelGrid
+from mocap.data.depth import DepthNoise
 from mocap.data.voxels import Voxels
 from mocap.errors import MocapError
 from mocap.foreground.pixels import sample_silhouettes
 from mocap.io.session import Session
-from mocap.io.session.reading import pictures_of
+from mocap.io.session.reading import depth_of, pictures_of
 from mocap.io.store import StageReader
 from mocap.pipeline.config import Config
 from mocap.pipeline.stage import (
@@ -39,6 +40,7 @@ from mocap.volume import (
     surface_voxels,
     usable_cameras,
 )
+from mocap.volume.depth import DepthView, is_free, measured_surface
 
 _EMPTY_SHARE = 0.1
 _GAP_S = 0.5  # a shorter one is bridged by the track
@@ -105,6 +107,7 @@ class _Carving:
         masks: Sequence[NDArray[np.bool_]],
         pictures: Sequence[NDArray[np.uint8]] | None,
         used: NDArray[np.bool_],
+        views: Sequence[DepthView] = (),
     ) -> tuple[Hull, Voxels]:
         """The hull of one frame from the cameras in use, and the voxels around it of which nothing is known."""
         settings = self.config.volume
@@ -114,6 +117,8 @@ class _Carving:
         k = faulty_views(self.session, self.config, len(masks) - len(rows))
         min_views = None if settings.min_views == "auto" else min(settings.min_views, len(rows))
         voxels = carver.carve(own, n_faulty_views=k, min_views=min_views, outside=settings.outside_view)
+        if views:
+            voxels = voxels[~is_free(voxels, self.grid, views)]
         unknown = np.zeros(0, dtype=np.int32)
         if carver.occluders is not None and len(voxels):
             subs, reach = self.grid.subscripts(voxels), round(_AROUND_M / self.grid.voxel_size_m)
@@ -123,6 +128,13 @@ class _Carving:
         is_surface = surface_voxels(voxels, self.grid)
         hull = colour_hull(voxels, is_surface, self.grid, carver.rig, images, settings.visibility)
         return hull, unknown
+
+    def views(self, depth: Sequence[NDArray[np.float32]] | None, used: NDArray[np.bool_]) -> list[DepthView]:
+        """What the depth cameras in use have measured.  depth : their maps, in the order of the rig, or None."""
+        noise = DepthNoise(self.config.volume.depth_noise_m, self.config.volume.depth_noise_per_m)
+        in_use = {name for name, is_used in zip(self.rig.names, used, strict=True) if is_used}
+        maps = zip(self.session.depth_sources, depth or (), strict=depth is not None)
+        return [DepthView(self.rig[name], own, noise) for name, own in maps if name in in_use]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +164,9 @@ class _Walk:
 
 def _reads(job: Job) -> Sources:
     masks: Sources = {"masks": read_masks(job.store, job.session)}
-    return {**masks, "pictures": pictures_of(job.session)} if job.session.image_sources else masks
+    depth: Sources = {"depth": depth_of(job.session)} if job.session.depth_sources else {}
+    pictures: Sources = {"pictures": pictures_of(job.session)} if job.session.image_sources else {}
+    return {**masks, **pictures, **depth}
 
 
 def _start(job: Job) -> _Walk:
@@ -176,11 +190,16 @@ def _start(job: Job) -> _Walk:
 def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
     assert seen.masks is not None
     used = walk.used(seen)
-    hull, unknown = walk.carving.hull(seen.masks, seen.pictures, used)
+    views = walk.carving.views(seen.depth, used)
+    hull, unknown = walk.carving.hull(seen.masks, seen.pictures, used, views)
+    measured = None
+    if seen.depth is not None:
+        measured = np.full((len(hull.voxels), 3), np.nan, dtype=np.float32)
+        measured[hull.is_surface] = measured_surface(hull.voxels[hull.is_surface], hull.grid, views)
     if walk.monitor is not None:
         walk.monitor.add(seen.frame, seen.masks, seen.pictures)
     pixels = sample_silhouettes(seen.masks, seen.pictures, used)
-    row = hull_row(hull, unknown, used, pixels)
+    row = hull_row(hull, unknown, used, pixels, measured)
     return walk, replace(seen, hull=hull), [Row(PRODUCT, seen.frame, row)]
 
 
@@ -270,5 +289,5 @@ CARVE = Stage(
     needs=("segment", "occluders"),
     needs_whole=("occluders",),
     sections=("volume",),
-    facts=("room_bounds_m",),
+    facts=("room_bounds_m", "depth"),
 )

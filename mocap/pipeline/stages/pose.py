@@ -32,7 +32,7 @@ from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
-from mocap.products.hulls import pixels_from_arrays, rig_offset_m, stored_grid
+from mocap.products.hulls import measured_from_arrays, pixels_from_arrays, rig_offset_m, stored_grid
 from mocap.products.masks import masks_from_arrays
 from mocap.products.occluders import stored_occluders
 from mocap.products.owners import owners_at
@@ -195,8 +195,15 @@ class PersonViews:
 
         used = [name for name, is_used in zip(rig.names, arrays["used"], strict=True) if is_used]
         n_judges = partial(judges_of, rig.subset(used), occluders=occluders)
+        measured = measured_from_arrays(arrays)
         return PersonHull(
-            voxels, is_surface, outlines, rays, unknown, None if occluders.is_empty else n_judges
+            voxels,
+            is_surface,
+            outlines,
+            rays,
+            unknown,
+            None if occluders.is_empty else n_judges,
+            None if measured is None else measured[keep],
         )
 
 

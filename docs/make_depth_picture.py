@@ -1,0 +1,84 @@
+"""A hull with and without depth: docs/pictures/depth.png.
+
+python -m docs.make_depth_picture
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from eval.whole import save_figure
+from mocap.data import VoxelGrid
+from mocap.data.depth import DepthNoise
+from mocap.io.session import open_session
+from mocap.io.session.reading import depth_of, masks_of
+from mocap.io.truth import read_true_voxels
+from mocap.synth import synthesise
+from mocap.synth.scene import load_scene
+from mocap.volume import Carver
+from mocap.volume.depth import DepthView, is_free
+
+PICTURE = Path(__file__).parent / "pictures" / "depth.png"
+SCENE = "depth_gesture"
+CAMERAS = ("cam_0", "cam_2", "cam_3")
+FRAME = 20
+GREY, BLUE = "#c9c9c9", "#2f6fb0"
+
+
+def main() -> None:
+    """Film, carve, draw."""
+    scene = load_scene(SCENE)
+    document = {**scene.model_dump(exclude_unset=True), "n_frames": FRAME + 1, "masks_only": True}
+    with tempfile.TemporaryDirectory() as folder:
+        root = synthesise(type(scene).model_validate(document), Path(folder) / "session", workers=1)
+        session = open_session(root, frames=(FRAME, FRAME + 1))
+        ((_, masks),) = masks_of(session)
+        ((_, (depth_m,)),) = depth_of(session)
+        true = read_true_voxels(root / "truth" / "voxels.npz")
+        body = true.grid.centers(true.at(FRAME))
+    rig = session.rig.subset(CAMERAS)
+    assert session.room_bounds_m is not None
+    grid = VoxelGrid.from_bounds(*(np.array(corner) for corner in session.room_bounds_m), 0.02)
+    own = [masks[session.rig.names.index(name)] for name in CAMERAS]
+    hull = Carver(rig, grid).carve(own, n_faulty_views=0)
+    free = is_free(hull, grid, [DepthView(rig[CAMERAS[0]], depth_m, DepthNoise())])
+    draw(depth_m, grid.centers(hull), grid.centers(hull[~free]), body)
+    picture = cv2.imread(str(PICTURE))
+    cv2.imwrite(str(PICTURE), picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def draw(
+    depth_m: NDArray[np.float32],
+    hull: NDArray[np.float64],
+    kept: NDArray[np.float64],
+    body: NDArray[np.float64],
+) -> None:
+    """The map, and the three volumes (N, 3) m from above and from the side."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")
+    shown = axes[0].imshow(np.where(depth_m > 0, depth_m, np.nan), cmap="viridis_r", vmin=2, vmax=6)
+    figure.colorbar(shown, ax=axes[0], label="depth, m", shrink=0.8)
+    axes[0].set(xticks=[], yticks=[], title="what the camera measures")
+    middle = body.mean(axis=0)
+    for ax, (i, j), title in zip(axes[1:], ((0, 1), (0, 2)), ("from above", "from the side"), strict=True):
+        for points, colour in ((hull, GREY), (kept, BLUE), (body, "black")):
+            _fill(ax, points[:, [i, j]] - middle[[i, j]], colour)
+        ax.set(title=title, xlabel="xyz"[i] + ", m", ylabel="xyz"[j] + ", m", aspect="equal")
+    save_figure(figure, PICTURE, dpi=90)
+    plt.close(figure)
+
+
+def _fill(ax: Any, points: NDArray[np.float64], colour: str) -> None:
+    """Voxels (N, 2) m as squares."""
+    ax.plot(*points.T, "s", color=colour, markersize=1.6, markeredgewidth=0)
+
+
+if __name__ == "__main__":
+    main()

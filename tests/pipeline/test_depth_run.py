@@ -1,0 +1,94 @@
+"""A run on a session with a depth camera: less volume, the store's new arrays, keys, and no trace without depth."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_session import PLAIN
+
+from mocap.io.session import open_session
+from mocap.io.store import StageStore
+from mocap.pipeline.config import load_config
+from mocap.pipeline.keys import stage_keys
+from mocap.pipeline.run import run_session
+from mocap.products.hulls import measured_from_arrays
+
+SCENE = {
+    "name": "small",
+    "seed": 21,
+    "n_frames": 4,
+    "fps": 10.0,
+    "masks_only": True,
+    "rig": {"n_cameras": 3, "size_px": [240, 184]},
+    "room": {"capture_m": [[-1.4, -1.3, 0.0], [1.4, 1.3, 2.1]]},
+    "depth": {"cameras": ["cam_1"]},
+    "persons": [{"seed": 5, "motion": {"kind": "gesture", "heading_deg": 70}}],
+}
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("embreex", reason="rendering needs the extra synth (embreex)")
+    from mocap.synth import synthesise
+    from mocap.synth.scene import scene_from_dict
+
+    return synthesise(scene_from_dict(SCENE), tmp_path_factory.mktemp("depth") / "session", workers=1)
+
+
+def without_depth(session: Path, to: Path) -> Path:
+    shutil.copytree(session, to)
+    shutil.rmtree(to / "depth")
+    return to
+
+
+def carved(session: Path, out: Path) -> StageStore:
+    run_session(session, out, config=load_config("default", PLAIN), until="carve")
+    return StageStore(out / "store.zarr")
+
+
+def test_depth_takes_free_space_out_and_says_where_the_surface_is(session: Path, tmp_path: Path) -> None:
+    plain = carved(without_depth(session, tmp_path / "plain"), tmp_path / "a").reader("carve")
+    deep = carved(session, tmp_path / "b").reader("carve")
+    camera = open_session(session).rig["cam_1"]
+    for frame in (0, 3):
+        before, after = plain.read(frame), deep.read(frame)
+        assert measured_from_arrays(before) is None
+        assert set(after["voxels"]) < set(before["voxels"])
+        assert len(after["voxels"]) < 0.97 * len(before["voxels"])
+        measured = measured_from_arrays(after)
+        assert measured is not None
+        found = np.isfinite(measured[:, 0])
+        assert found.sum() > 100
+        assert after["is_surface"][found].all()
+        # They are places of the map's readings: within its noise (some 2 cm at 3.5 m) and a voxel's slope.
+        depth_m = (
+            cv2.imread(str(session / "depth" / "cam_1" / f"{frame:06d}.png"), cv2.IMREAD_UNCHANGED) / 1000
+        )
+        uv, z = camera.project(measured[found].astype(np.float64))
+        u, v = np.rint(uv).astype(int).T
+        read = depth_m[v, u]
+        assert np.median(np.abs(read - z)[read > 0]) < 0.02
+
+
+def test_poses_are_found_with_depth(session: Path, tmp_path: Path) -> None:
+    (person,) = run_session(session, tmp_path / "out", config=load_config("default", PLAIN)).poses
+    assert len(person.frames) == 4
+
+
+def test_maps_and_their_unit_are_in_the_keys(session: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(session, copy)
+    config = load_config("default", PLAIN)
+    before = stage_keys(open_session(copy), config, 0)
+    text = (copy / "session.toml").read_text()
+    (copy / "session.toml").write_text(text + "\n[depth]\nunit_mm = 1.01\n")
+    other_unit = stage_keys(open_session(copy), config, 0)
+    assert other_unit["segment"] == before["segment"]
+    assert other_unit["carve"] != before["carve"]
+    (copy / "session.toml").write_text(text)
+    shutil.copy(copy / "depth" / "cam_1" / "000000.png", copy / "depth" / "cam_1" / "000002.png")
+    assert stage_keys(open_session(copy), config, 0)["carve"] != before["carve"]
