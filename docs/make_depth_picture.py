@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -25,9 +24,10 @@ from mocap.volume import Carver
 from mocap.volume.depth import DepthView, is_free
 
 PICTURE = Path(__file__).parent / "pictures" / "depth.png"
-SCENE = "depth_gesture"
+SCENE = "depth_walk"
 CAMERAS = ("cam_0", "cam_2", "cam_3")
-FRAME = 20
+FRAME = 12
+HEIGHTS_M = (1.15, 0.6)
 GREY, BLUE = "#c9c9c9", "#2f6fb0"
 
 
@@ -59,25 +59,21 @@ def draw(
     kept: NDArray[np.float64],
     body: NDArray[np.float64],
 ) -> None:
-    """The map, and the three volumes (N, 3) m from above and from the side."""
+    """The map, and slices of the three volumes (N, 3) m from above."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")
-    shown = axes[0].imshow(np.where(depth_m > 0, depth_m, np.nan), cmap="viridis_r", vmin=2, vmax=6)
-    figure.colorbar(shown, ax=axes[0], label="depth, m", shrink=0.8)
-    axes[0].set(xticks=[], yticks=[], title="what the camera measures")
+    figure, axes = plt.subplots(1, 3, figsize=(9.5, 3.2), layout="constrained")
+    axes[0].imshow(np.where(depth_m > 0, depth_m, np.nan), cmap="viridis_r", vmin=2, vmax=6)
+    axes[0].set(xticks=[], yticks=[], title="depth, 2 to 6 m (white: no reading)")
     middle = body.mean(axis=0)
-    for ax, (i, j), title in zip(axes[1:], ((0, 1), (0, 2)), ("from above", "from the side"), strict=True):
+    for ax, height_m in zip(axes[1:], HEIGHTS_M, strict=True):
         for points, colour in ((hull, GREY), (kept, BLUE), (body, "black")):
-            _fill(ax, points[:, [i, j]] - middle[[i, j]], colour)
-        ax.set(title=title, xlabel="xyz"[i] + ", m", ylabel="xyz"[j] + ", m", aspect="equal")
+            layer = points[np.abs(points[:, 2] - height_m) < 0.011, :2] - middle[:2]
+            ax.plot(*layer.T, "s", color=colour, markersize=3.4, markeredgewidth=0)
+        ax.set(title=f"{height_m:g} m above the floor", xlabel="x, m", ylabel="y, m", aspect="equal")
+        ax.set(xlim=(-0.5, 0.5), ylim=(-0.5, 0.5))
     save_figure(figure, PICTURE, dpi=90)
     plt.close(figure)
-
-
-def _fill(ax: Any, points: NDArray[np.float64], colour: str) -> None:
-    """Voxels (N, 2) m as squares."""
-    ax.plot(*points.T, "s", color=colour, markersize=1.6, markeredgewidth=0)
 
 
 if __name__ == "__main__":

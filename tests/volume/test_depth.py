@@ -37,7 +37,7 @@ def test_deviation_grows_with_the_square() -> None:
 def test_what_lies_well_before_the_plate_is_free_and_all_else_is_kept() -> None:
     voxels = everything()
     depth = 3.0 - GRID.centers(voxels)[:, 0]
-    limit = PLATE_M - 2 * NOISE.std_m(np.array(PLATE_M)) - 0.5 * GRID.voxel_size_m
+    limit = PLATE_M - NOISE.std_m(np.array(PLATE_M)) - 0.5 * GRID.voxel_size_m
     np.testing.assert_array_equal(is_free(voxels, GRID, [view(plate())]), depth < limit)
 
 
