@@ -64,7 +64,7 @@ def draw(
 
     figure, axes = plt.subplots(1, 3, figsize=(9.5, 3.2), layout="constrained")
     axes[0].imshow(np.where(depth_m > 0, depth_m, np.nan), cmap="viridis_r", vmin=2, vmax=6)
-    axes[0].set(xticks=[], yticks=[], title="depth, 2 to 6 m (white: no reading)")
+    axes[0].set(xticks=[], yticks=[], title="depth; white: no reading")
     middle = body.mean(axis=0)
     for ax, height_m in zip(axes[1:], HEIGHTS_M, strict=True):
         for points, colour in ((hull, GREY), (kept, BLUE), (body, "black")):
