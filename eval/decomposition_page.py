@@ -44,8 +44,8 @@ the same scenes; its 95 % interval is a paired bootstrap over runs. *Decided* me
 
 Commands: `python -m eval.decomposition_own_worlds` and `python -m eval.decomposition_sw_tables`, `..._xn_4`,
 `..._xn_5`, `..._xn_6`, `..._sharpness`, `..._steps`, `..._regimes`, `..._3d`, each with `--full` for all cells and
-20 runs. What stands here was made without it; 10 runs per cell come from `--scenes 5 --runs 2`; [how to read
-it](#how-to-read-it) stands at the end.
+20 runs. What stands here was made without it, with `--scenes 5` and `--runs 4`, `2` or `1` for 20, 10 or 5 runs per
+cell; [how to read it](#how-to-read-it) stands at the end.
 """
 
 ANSWER = """\
