@@ -106,7 +106,7 @@ def _places(
 ) -> dict[str, Array]:
     """Kind of keypoint -> its mean place beside its landmark, mirrored to the left side, fractions of the height."""
     views = figure_views(marker_views(rig))
-    read = read_keypoints(_files(name, rig), rig, range(int(frames[-1]) + 1))
+    read = read_keypoints(files_of(name, rig), rig, range(int(frames[-1]) + 1))
     figures = {int(f): undistorted(read[int(f)], rig) for f in frames}
     person = persons_of_figures(figures, views, 30.0, FigureSettings())[0]
     row = {int(f): i for i, f in enumerate(frames)}
@@ -126,7 +126,8 @@ def _places(
     return {kind: np.mean(of_sides, axis=0) for kind, of_sides in found.items()}
 
 
-def _files(name: str, rig: CameraRig) -> dict[str, Path]:
+def files_of(name: str, rig: CameraRig) -> dict[str, Path]:
+    """Keypoint files of a development session by camera."""
     return {camera.name: DEV / "keypoints" / name / f"{camera.name}.csv" for camera in rig}
 
 
@@ -134,7 +135,7 @@ def _errors_m(
     name: str, rig: CameraRig, landmarks: Array, frames: NDArray[np.int64]
 ) -> list[tuple[float, float]]:
     """Confidence and distance, m at the person, of every keypoint that has a true landmark of its name."""
-    read = read_keypoints(_files(name, rig), rig, range(int(frames[-1]) + 1))
+    read = read_keypoints(files_of(name, rig), rig, range(int(frames[-1]) + 1))
     shared = [(KEYPOINTS.index(n), i) for i, n in enumerate(LANDMARKS) if n in KEYPOINTS and "_" in n]
     out = []
     for i, frame in enumerate(frames):

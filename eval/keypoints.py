@@ -1,9 +1,11 @@
 """Keypoints: volumes alone, plain triangulation, the follower on keypoints alone, both together.
 
 Runs on the realistic development sessions in ../shared/dev_sessions with the detections of MediaPipe that lie beside
-them, by number of cameras; writes eval/results/keypoints.csv whole.
+them, by number of cameras, and on synthetic scenes with simulated detections that were held out; writes a table of
+eval/results/ whole: keypoints.csv of keypoints, keypoints_fused.csv of volumes without and with them.
 
-    python -m eval.keypoints [--sessions walk,reach,cross,room] [--cameras 2,3,4,7] [--methods triangulation,keypoints]
+    python -m eval.keypoints [--sessions walk,reach,cross,room] [--cameras 2,3,4,7]
+    python -m eval.keypoints --fused [--sessions walk,...,keypoints_gesture_test] [--cameras 4]
     python -m eval.keypoints --fit      # the places and the errors of MediaPipe's points, on `steps` and `furnished`
 
 No number was chosen on walk, reach, cross and room: places and deviations of keypoints come from steps and furnished
@@ -36,10 +38,12 @@ Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[1]
 DEV = ROOT.parent / "shared" / "dev_sessions"
-RESULTS = ROOT / "eval" / "results" / "keypoints.csv"
+RESULTS = ROOT / "eval" / "results"
 SESSIONS = ("walk", "reach", "cross", "room")
+SCENES = ("keypoints_gesture_test", "keypoints_pair_test")
 FITTED_ON = ("steps", "furnished")
-METHODS = ("triangulation", "keypoints", "volumes", "fused")
+METHODS = ("triangulation", "keypoints")
+METHODS_WITH_VOLUMES = ("volumes", "fused")
 # Cameras on the ring, far apart: the first two look from sides at right angles, as far as seven on a ring can.
 OF_RING = (0, 2, 4, 1, 5, 3, 6)
 EPSILON_MM = 100.0
@@ -60,15 +64,27 @@ class Case:
 
 
 def cases(
-    sessions: Sequence[str], cameras: Sequence[int], methods: Sequence[str], seeds: int
+    sessions: Sequence[str], cameras: Sequence[int], methods: Sequence[str], seeds: int, work: Path
 ) -> Iterator[Case]:
     """Every run that can be: `room` has five cameras."""
     for session in sessions:
-        most = len(list((DEV / "keypoints" / session).iterdir()))
+        most = len(list(_sources(session, work)[1].iterdir()))
         for n in sorted({min(n, most) for n in cameras}):
             for method in methods:
                 for seed in range(1 if method == "triangulation" else seeds):
                     yield Case(session, n, method, seed)
+
+
+def _sources(session: str, work: Path) -> tuple[Path, Path]:
+    """The folder of a development session or of a scene, which is made when it is not there, and its keypoints."""
+    from mocap.synth import synthesise
+
+    if (DEV / session).is_dir():
+        return DEV / session, DEV / "keypoints" / session
+    folder = work / "scenes" / session
+    if not folder.is_dir():
+        synthesise(session, folder, workers=1)
+    return folder, folder / "keypoints"
 
 
 def session_folder(case: Case, work: Path) -> Path:
@@ -77,10 +93,10 @@ def session_folder(case: Case, work: Path) -> Path:
 
     has_videos = case.method in ("volumes", "fused")
     folder = work / f"{case.session}_{case.cameras}_{'videos' if has_videos else 'keypoints'}"
-    source = DEV / case.session
+    source, keypoints = (path.resolve() for path in _sources(case.session, work))
     folder.mkdir(parents=True, exist_ok=True)
     links = {"calibration.toml": source / "calibration.toml", "truth": source / "truth"}
-    links |= {"keypoints": DEV / "keypoints" / case.session}
+    links |= {"keypoints": keypoints}
     links |= {name: source / name for name in ("videos", "background") if has_videos}
     for name, target in links.items():
         if not (folder / name).exists():
@@ -100,7 +116,7 @@ def measure(case: Case, work: Path, frames: tuple[int, int] | None) -> dict[str,
         _triangulated(folder, frames) if case.method == "triangulation" else _run(case, folder, frames)
     )
     wall_s = time.perf_counter() - begin
-    truth = read_landmarks_csv(DEV / case.session / "truth" / "landmarks.csv")
+    truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
     row: dict[str, Any] = {f: getattr(case, f) for f in ("session", "cameras", "method", "seed")}
     return {**row, **scores(found, truth, n_frames), "ms_per_frame": round(1000 * wall_s / n_frames, 1)}
 
@@ -194,9 +210,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--sessions", default=",".join(SESSIONS))
-    parser.add_argument("--cameras", default="2,3,4,7")
-    parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--sessions", help="default: all of the table")
+    parser.add_argument("--cameras", help="default: 2,3,4,7; with --fused 4")
+    parser.add_argument("--fused", action="store_true", help="volumes without and with keypoints")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--frames", help="first:stop, for a quick look; nothing is written then")
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "keypoints")
@@ -211,11 +227,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     first, _, stop = (options.frames or "").partition(":")
     frames = (int(first or 0), int(stop)) if options.frames else None
+    methods, table = (
+        (METHODS_WITH_VOLUMES, "keypoints_fused.csv") if options.fused else (METHODS, "keypoints.csv")
+    )
+    sessions = options.sessions or ",".join((*SESSIONS[:3], *SCENES) if options.fused else SESSIONS)
+    cameras = options.cameras or ("4" if options.fused else "2,3,4,7")
     wanted = cases(
-        options.sessions.split(","),
-        [int(n) for n in options.cameras.split(",")],
-        options.methods.split(","),
-        options.seeds,
+        sessions.split(","), [int(n) for n in cameras.split(",")], methods, options.seeds, options.work
     )
 
     def rows() -> Iterator[dict[str, Any]]:
@@ -225,7 +243,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             yield row
 
     if frames is None:
-        write_csv(RESULTS, FIELDS, rows())
+        write_csv(RESULTS / table, FIELDS, rows())
     else:
         list(rows())
 

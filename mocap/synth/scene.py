@@ -14,6 +14,7 @@ from mocap.synth.faults import KINDS as _FAULT_KINDS
 from mocap.synth.faults import Fault, find_mistakes
 from mocap.synth.furniture import KINDS as _FURNITURE_KINDS
 from mocap.synth.furniture import Furniture
+from mocap.synth.keypoints import KeypointConfig
 from mocap.synth.markers import MarkerConfig
 from mocap.synth.persons import MOTION_KINDS, Person
 from mocap.synth.rigs import KINDS as _RIG_KINDS
@@ -81,6 +82,8 @@ class Scene(_Section):
     picture: PictureConfig = Field(default_factory=lambda: PictureConfig.model_validate({}))
     persons: tuple[Person, ...] = ()
     markers: MarkerConfig | None = None
+    keypoints: KeypointConfig | None = None
+    """Write keypoints/CAM.csv as a pose network would find them."""
     depth: DepthConfig | None = None
     """Cameras that measure depth beside their pictures: depth/CAM/*.png."""
     faults: tuple[Fault, ...] = ()

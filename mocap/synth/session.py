@@ -16,7 +16,10 @@ import numpy as np
 
 from mocap.errors import MocapError
 from mocap.io.calibration import write_calibration
+from mocap.io.keypoints import write_keypoints_csv
+from mocap.io.tables import read_landmarks_csv
 from mocap.progress import Progress, no_progress
+from mocap.synth.keypoints import simulated_keypoints
 from mocap.synth.markers import Sight, make_detections, write_detections
 from mocap.synth.recorder import Moments, Recorder
 from mocap.synth.render import require_embree
@@ -97,6 +100,7 @@ def _fill(
             if job.wait() != 0:
                 raise RuntimeError(f"a rendering process failed with exit code {job.returncode}")
         _write_detections(world, folder)
+        _write_keypoints(world, folder)
     progress("pictures", total, total)
 
 
@@ -190,6 +194,25 @@ def _write_detections(world: World, folder: Path) -> None:
                 seen = data["marker_uv"][0][data["marker_state"][0] == Sight.VISIBLE]
             lines += [f"{name},0,{u:.2f},{v:.2f}" for u, v in seen]
         (folder / "marker_labels.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _write_keypoints(world: World, folder: Path) -> None:
+    """keypoints/ of the simulated pose network, of every person in every picture; cameras run on time."""
+    config = world.scene.keypoints
+    if config is None:
+        return
+    motions = read_landmarks_csv(folder / "truth" / "landmarks.csv")
+    for c, camera in enumerate(world.rig):
+        found = [
+            simulated_keypoints(m, camera, config, rng=world.rng(14, c, person))
+            for person, m in enumerate(motions)
+        ]
+        rows = sorted(
+            (int(frame), person, points)
+            for person, (m, own) in enumerate(zip(motions, found, strict=True))
+            for frame, points in zip(m.frames, own, strict=True)
+        )
+        write_keypoints_csv(folder / "keypoints" / f"{camera.name}.csv", rows)
 
 
 def _write_head(world: World, folder: Path) -> None:
