@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -50,9 +51,9 @@ def test_landmarks_that_no_tool_names_are_midpoints() -> None:
     np.testing.assert_allclose(found[LANDMARKS.index("left_knee")], points[KEYPOINTS.index("left_knee")])
 
 
-def test_triangulation_needs_no_seeds() -> None:
+def test_triangulation_needs_no_seeds(tmp_path: Path) -> None:
     if not DEV.is_dir():
         pytest.skip("no ../shared/dev_sessions beside the project")
-    wanted = list(cases(["room"], [2, 7], ["triangulation", "keypoints"], 3))
+    wanted = list(cases(["room"], [2, 7], ["triangulation", "keypoints"], 3, tmp_path))
     assert {c.cameras for c in wanted} == {2, 5}
     assert [c.seed for c in wanted if c.method == "triangulation"] == [0, 0]
