@@ -105,9 +105,9 @@ def test_all_formats_hold_what_landmarks_csv_holds(
         places = file.variables["position"][:, :, :, 0].transpose(0, 2, 1)
         time_s = file.variables["time"][:].copy()
     np.testing.assert_allclose(time_s, truth.time_s, atol=1e-6)
-    np.testing.assert_allclose(places, truth.landmarks, atol=1e-4)  # the table has tenths of a millimetre
+    np.testing.assert_allclose(places, truth.landmarks, atol=1e-6)  # six decimals in the table
     table = np.loadtxt(folder / "sub-01/motion/sub-01_task-walk_tracksys-mocap_motion.tsv")
-    np.testing.assert_allclose(table[:, 1:].reshape(-1, 15, 3), truth.landmarks, atol=1e-4)
+    np.testing.assert_allclose(table[:, 1:].reshape(-1, 15, 3), truth.landmarks, atol=2e-6)
     if importlib.util.find_spec("pxr"):
         assert (folder / "person_1.usd").stat().st_size > 10_000
 
