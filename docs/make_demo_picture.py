@@ -28,7 +28,7 @@ from mocap.view import crop, draw_body, draw_hull, draw_label, draw_skeleton, pe
 CAMERA = "cam_3"
 EVERY = 2  # frames; half of the pictures are smooth enough, and half as many bytes
 HEIGHT_PX = 200
-QUALITIES = (40, 30, 20)  # of WebP; the best that stays below MAX_BYTES is taken
+QUALITIES = (30, 20)  # of WebP; the best that stays below MAX_BYTES is taken
 
 
 def pictures(root: Path) -> tuple[list[np.ndarray], float]:
