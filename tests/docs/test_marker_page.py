@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import textwrap
 from pathlib import Path
@@ -11,7 +12,8 @@ import pytest
 from mocap.body import load_body_model, scale_body
 from mocap.body.markers import load_marker_set, place_markers
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "markers.md"
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "markers.md"
 
 
 def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -32,3 +34,33 @@ def test_the_names_of_the_set_are_on_the_page() -> None:
     text = PAGE.read_text("utf-8")
     for marker in load_marker_set("markers_20").marker:
         assert marker.name.removeprefix("left_").removeprefix("right_") in text
+
+
+def test_the_tables_of_conditions_are_the_committed_results() -> None:
+    """Both tables, number by number: means of both actions in the first, MMTA (mean error) by action in the second."""
+    with (ROOT / "eval" / "results" / "markers_conditions.csv").open(newline="", encoding="utf-8") as stream:
+        rows = {(row["condition"], row["action"]): row for row in csv.DictReader(stream)}
+    text = PAGE.read_text("utf-8")
+    first, together = text.split("### One condition at a time")[1].split("### Conditions together")
+
+    def words(line: str) -> list[str]:
+        return [cell.strip() for cell in line.strip("|").split("|")]
+
+    tables = [
+        {w[0]: w[1:] for w in map(words, re.findall(r"^\| (?:table|source).*$", part, re.M))}
+        for part in (first, together.split("Whole runs")[0])
+    ]
+    assert [len(table) for table in tables] == [21, 17]
+    for name, cells in tables[0].items():
+        own = [rows[name, action] for action in ("walk", "jog")]
+        mean, mmta = (sum(float(r[f]) for r in own) / 2 for f in ("mean_error_mm", "mmta_percent"))
+        assert cells == [f"{mean:.0f}", f"{mmta:.0f}", *(f"{float(r['mmta_percent']):.0f}" for r in own)], (
+            name
+        )
+    for name, cells in tables[1].items():
+        for action, cell in zip(("walk", "jog"), cells, strict=True):
+            if cell == "-":
+                assert (name, action) not in rows
+                continue
+            row = rows[name, action]
+            assert cell == f"{float(row['mmta_percent']):.0f} ({float(row['mean_error_mm']):.0f})", name
