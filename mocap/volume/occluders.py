@@ -10,7 +10,7 @@ probabilities.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -29,6 +29,7 @@ DepthMap = NDArray[np.float32]
 Cells = NDArray[np.uint8]
 Votes = NDArray[np.uint16]
 Voxels = NDArray[np.int32]
+Rays = tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]  # of _rays_of
 
 EMPTY, PARTLY, FULL = 0, 1, 2  # of a cell, how much is foreground
 CELL_PX = 4  # picture pixels per cell of the maps; an edge is known no better than to a voxel of 5 cm
@@ -44,9 +45,18 @@ _MIN_LITRES = 2.0
 _FREE_PER_BLOCKED = 9  # at least nine votes of ten: silhouettes have frayed edges
 # How far a person must have gone to give evidence again: a hole in a mask goes with the person.
 _STEP_M = 0.05
+_AGAIN_LOOKS = 8  # who stays gives evidence again after so many looks: what is never seen of him cannot be judged
 _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
+_MANY = 6  # of so many cameras hulls forgive one
 _MIN_NEEDING = 3  # cameras whose foreground nothing surer explains; the rays of two cross in many places
+# Legs that too few cameras see for a volume. Who ends above this height without touching the floor is cut off; one
+# camera must show him at this share of the heights below, so that who jumps is whole.
+_CUT_OFF_M, _CUT_OFF_TOP_M = 0.35, 0.9
+_SHOWN_SHARE = 0.6
+_WAIST_M = 0.3  # the lowest part of what is seen, under which the legs are
+_STRIDE_M = 0.4  # from there to a foot
+_HIP_M = 0.2  # half the width of what is taken for legs
 # Share of a mask outside the silhouette of a hull that allows most cameras to be wrong. Healthy masks have hardly any.
 _ASTRAY_SHARE = 0.2
 
@@ -65,12 +75,14 @@ class OccluderLearner:
         self._rig = CameraRig(tuple(camera.reduced(CELL_PX) for camera in rig))
         side = max(VOXEL_M, grid.voxel_size_m)
         self._n_faulty = max(1, len(rig) // 2)
+        self._n_usual = 1 if len(rig) >= _MANY else 0
         self._carver = Carver(self._rig, VoxelGrid.from_bounds(grid.origin, grid.upper, side))
         self._space = _space_of(rig, grid, side)
         self._tables = [_rays_of(camera, self._space) for camera in self._rig]
         self.n_free = np.zeros(self._space.n_voxels, dtype=np.uint16)
         self.n_blocked = np.zeros(self._space.n_voxels, dtype=np.uint16)
-        self._places = np.zeros((0, 12))
+        self._places, self._looked = np.zeros((0, 12)), np.zeros(0, dtype=np.int64)
+        self._n_looks = 0
         # The farthest and the second farthest depth at which each cell has shown a person; one may be a mistake.
         self._seen_m = [np.full((2, *camera.size[::-1]), -np.inf, dtype=np.float32) for camera in self._rig]
 
@@ -79,12 +91,13 @@ class OccluderLearner:
 
         cells : the masks as of `masks_by_cells`, (h, w) uint8 per camera.
         """
+        self._n_looks += 1
         masks = [own == FULL for own in cells]
         grid, n = self._carver.grid, len(self._rig)
         voxels = self._carver.carve(
             masks, n_faulty_views=self._n_faulty, min_views=min(4, n), min_votes=min(MIN_VOTES, n)
         )
-        is_core = self._core_of_new(voxels)
+        is_core, is_new = self._cores(voxels)
         if not is_core.any():
             return False
         squares = _squares(self._rig, grid.centers(voxels), grid.voxel_size_m)
@@ -92,6 +105,11 @@ class OccluderLearner:
         sees &= squares.cell >= 0
         objects = (squares.cell >= 0) & ~sees
         is_sure = is_core & self._is_needed(masks, squares, sees, objects.sum(axis=0))
+        for below in self._cut_off(voxels, is_sure & (objects.sum(axis=0) <= self._n_usual)):
+            self._vote_of_legs(cells, below)
+        is_sure &= is_new
+        if not is_sure.any():
+            return False
         everything = np.ones(len(voxels), dtype=np.bool_)
         for c, (own, table, seen) in enumerate(zip(cells, self._tables, self._seen_m, strict=True)):
             is_covered = np.isfinite(squares.nearest(c, everything))
@@ -106,9 +124,7 @@ class OccluderLearner:
             seen[0] = np.maximum(seen[0], shown)
             is_empty = cv2.dilate(own, np.ones((3, 3), np.uint8)) == EMPTY
             verdict[np.isfinite(missed) & is_empty] = kernels.BLOCKED
-            kernels.vote_along_rays(
-                near.ravel(), verdict.ravel(), *table, BLOCKED_MARGIN_M, self.n_free, self.n_blocked
-            )
+            self._vote(table, near, verdict)
         return True
 
     def occluders(self) -> Occluders:
@@ -122,18 +138,47 @@ class OccluderLearner:
             maps[camera.name] = depth
         return Occluders(maps, CELL_PX)
 
-    def _core_of_new(self, voxels: Voxels) -> NDArray[np.bool_]:
-        """Which voxels (N,) of a generous hull lie inside somebody who stands where none has given evidence."""
+    def _vote(self, table: Rays, near: DepthMap, verdict: Cells) -> None:
+        kernels.vote_along_rays(
+            near.ravel(), verdict.ravel(), *table, BLOCKED_MARGIN_M, self.n_free, self.n_blocked
+        )
+
+    def _cut_off(self, voxels: Voxels, is_sure: NDArray[np.bool_]) -> Iterator[Array]:
+        """For everybody whose volume ends above the floor, points (N, 3) m below it, down to the floor: his legs are
+        on both sides of them.  voxels : of a generous hull, with those that are surely somebody's.
+        """
+        grid = self._carver.grid
+        labels, _ = connected_components(voxels, grid)
+        for k in np.unique(labels[is_sure]):
+            points = grid.centers(voxels[is_sure & (labels == k)])
+            low, top = points[:, 2].min(), points[:, 2].max()
+            if low > _CUT_OFF_M and top > _CUT_OFF_TOP_M:
+                waist = points[points[:, 2] < low + _WAIST_M].mean(axis=0)
+                heights = np.arange(2 * grid.voxel_size_m, low, grid.voxel_size_m)
+                yield np.column_stack([np.tile(waist[:2], (len(heights), 1)), heights])
+
+    def _vote_of_legs(self, cells: Sequence[Cells], below: Array) -> None:
+        """Votes of all cameras on what lies before legs, where one at least shows them.  below : of `_cut_off`."""
+        found = [_legs_in(own, camera, below) for own, camera in zip(cells, self._rig, strict=True)]
+        if max(legs.shown_share for legs in found) < _SHOWN_SHARE:
+            return
+        for legs, table in zip(found, self._tables, strict=True):
+            self._vote(table, legs.near, legs.verdict)
+
+    def _cores(self, voxels: Voxels) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which voxels (N,) of a generous hull lie inside somebody, and which inside somebody who stands where none has
+        given evidence."""
         grid = self._carver.grid
         labels, n_found = connected_components(voxels, grid)
         litres = np.bincount(labels, minlength=n_found) * grid.voxel_size_m**3 * 1000.0
         is_inner = ~surface_voxels(voxels, grid)
-        is_core = np.zeros(len(voxels), dtype=np.bool_)
+        is_core, is_new = np.zeros((2, len(voxels)), dtype=np.bool_)
         for k in np.flatnonzero(litres >= _PERSON_LITRES):
             own = is_inner & (labels == k)
+            is_core |= own
             if own.any() and self._is_new(grid.centers(voxels[own])):
-                is_core |= own
-        return is_core
+                is_new |= own
+        return is_core, is_new
 
     def _is_needed(
         self,
@@ -161,9 +206,11 @@ class OccluderLearner:
         middle = points.mean(axis=0)
         variances, axes = np.linalg.eigh((points - middle).T @ (points - middle) / len(points))
         place = np.concatenate([middle, ((axes * np.sqrt(np.maximum(variances, 0.0))) @ axes.T).ravel()])
-        if len(self._places) and np.linalg.norm(self._places - place, axis=1).min() < _STEP_M:
+        near = np.linalg.norm(self._places - place, axis=1) < _STEP_M
+        if (self._looked[near] > self._n_looks - _AGAIN_LOOKS).any():
             return False
-        self._places = np.vstack([self._places, place])
+        self._places = np.vstack([self._places[~near], place])
+        self._looked = np.append(self._looked[~near], self._n_looks)
         return True
 
 
@@ -208,6 +255,38 @@ def masks_by_cells(masks: Sequence[Mask]) -> list[Cells]:
     return reduced
 
 
+@dataclass(frozen=True, eq=False)
+class _Legs:
+    """What a camera shows below somebody's waist: verdict and depth (h, w) of what surely hides or shows legs, and the
+    share of the heights at which it shows anything."""
+
+    near: DepthMap
+    verdict: Cells
+    shown_share: float
+
+
+def _legs_in(cells: Cells, camera: Camera, below: Array) -> _Legs:
+    """What a camera, of the cells, shows at points (N, 3) m under somebody's waist."""
+    at = pixels_of_points(camera, below)
+    depth = below @ camera.R[2] + camera.t[2]
+    per_m = camera.K[0, 0] / np.maximum(depth, _STRIDE_M)
+    stride, hip = np.ceil(_STRIDE_M * per_m).astype(int), np.ceil(_HIP_M * per_m).astype(int)
+    near = np.full(cells.shape, np.inf, dtype=np.float32)
+    verdict = np.full(cells.shape, kernels.NO_VOTE, dtype=np.uint8)
+    n_shown = 0
+    for i in np.flatnonzero(at >= 0):
+        v, u = divmod(int(at[i]), camera.size[0])
+        rows = slice(max(v - 1, 0), v + 2)
+        inner = rows, slice(max(u - hip[i], 0), u + hip[i] + 1)
+        near[inner] = depth[i] - _HIP_M
+        if (cells[rows, max(u - stride[i], 0) : u + stride[i] + 1] != EMPTY).any():
+            n_shown += 1
+            verdict[inner] = np.where(cells[inner] == FULL, kernels.FREE, kernels.NO_VOTE)
+        else:
+            verdict[inner] = kernels.BLOCKED
+    return _Legs(near, verdict, n_shown / len(below))
+
+
 def _space_of(rig: CameraRig, grid: VoxelGrid, side: float) -> VoxelGrid:
     """The grid of votes: the room and everything between it and the cameras, as fine as memory allows."""
     centers = np.array([camera.center for camera in rig])
@@ -217,9 +296,7 @@ def _space_of(rig: CameraRig, grid: VoxelGrid, side: float) -> VoxelGrid:
     return VoxelGrid.from_bounds(lower, upper, max(side, fitting))
 
 
-def _rays_of(
-    camera: Camera, space: VoxelGrid
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]:
+def _rays_of(camera: Camera, space: VoxelGrid) -> Rays:
     """The voxels of a space by the cells that see them: first, rows of sort_by_cell, and the rows' depths."""
     points = space.centers(np.arange(space.n_voxels, dtype=np.int32))
     cell = pixels_of_points(camera, points)

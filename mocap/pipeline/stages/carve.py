@@ -36,6 +36,7 @@ from mocap.volume import (
     ConsistencyMonitor,
     choose_grid,
     colour_hull,
+    connected_components,
     find_faults,
     surface_voxels,
     usable_cameras,
@@ -46,6 +47,7 @@ _EMPTY_SHARE = 0.1
 _GAP_S = 0.5  # a shorter one is bridged by the track
 _MOST_GAPS = 3  # that are named one by one
 _MIN_CAMERAS = 3
+_HIDDEN_VOTES = 2  # for what hangs on a volume and nobody speaks against: legs that furniture hides from the others
 _AROUND_M = 0.9  # how far from a hull the unknown is of interest: the length of a hidden leg
 _REMEDIES = {
     "moved": "calibrate it again from that frame on, or leave these frames out",
@@ -121,9 +123,13 @@ class _Carving:
             voxels = voxels[~is_free(voxels, self.grid, views)]
         unknown = np.zeros(0, dtype=np.int32)
         if carver.occluders is not None and len(voxels):
+            if k == 0:
+                weak = carver.carve(own, n_faulty_views=0, min_views=min_views, min_votes=_HIDDEN_VOTES)
+                voxels = _grown(voxels, weak, self.grid)
             subs, reach = self.grid.subscripts(voxels), round(_AROUND_M / self.grid.voxel_size_m)
             box = subs.min(axis=0) - reach, subs.max(axis=0) + reach + 1
             unknown = carver.unknown(own, *box, n_faulty_views=k, min_views=min_views)
+            unknown = np.setdiff1d(unknown, voxels, assume_unique=True)
         images = None if pictures is None else [pictures[i] for i in rows]
         is_surface = surface_voxels(voxels, self.grid)
         hull = colour_hull(voxels, is_surface, self.grid, carver.rig, images, settings.visibility)
@@ -135,6 +141,14 @@ class _Carving:
         in_use = {name for name, is_used in zip(self.rig.names, used, strict=True) if is_used}
         maps = zip(self.session.depth_sources, depth or (), strict=depth is not None)
         return [DepthView(self.rig[name], own, noise) for name, own in maps if name in in_use]
+
+
+def _grown(voxels: Voxels, weak: Voxels, grid: VoxelGrid) -> Voxels:
+    """The pieces of a weaker volume, (N,) ascending, that hold some of the voxels."""
+    labels, n = connected_components(weak, grid)
+    is_held = np.zeros(n, dtype=np.bool_)
+    is_held[labels[np.isin(weak, voxels, assume_unique=True)]] = True
+    return weak[is_held[labels]]
 
 
 @dataclass(frozen=True, eq=False)
