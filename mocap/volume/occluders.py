@@ -45,7 +45,7 @@ _MIN_LITRES = 2.0
 _FREE_PER_BLOCKED = 9  # at least nine votes of ten: silhouettes have frayed edges
 # How far a person must have gone to give evidence again: a hole in a mask goes with the person.
 _STEP_M = 0.05
-_AGAIN_LOOKS = 8  # who stays gives evidence again after so many looks: what is never seen of him cannot be judged
+AGAIN_LOOKS = 6  # who stays gives evidence again after so many looks: what is never seen of him cannot be judged
 _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
 _MANY = 6  # of so many cameras hulls forgive one
@@ -111,7 +111,7 @@ class OccluderLearner:
         if not is_sure.any():
             return False
         everything = np.ones(len(voxels), dtype=np.bool_)
-        for c, (own, table, seen) in enumerate(zip(cells, self._tables, self._seen_m, strict=True)):
+        for c, own in enumerate(cells):
             is_covered = np.isfinite(squares.nearest(c, everything))
             if np.count_nonzero(masks[c] & ~is_covered) > _ASTRAY_SHARE * np.count_nonzero(masks[c]):
                 continue  # it sees somebody, elsewhere: it has moved, lags, or others see too little
@@ -119,12 +119,9 @@ class OccluderLearner:
             missed = squares.nearest(c, is_sure & objects[c])
             verdict = np.full(own.shape, kernels.NO_VOTE, dtype=np.uint8)
             verdict[np.isfinite(near) & masks[c]] = kernels.FREE
-            shown = np.where(verdict == kernels.FREE, near, np.float32(-np.inf))
-            seen[1] = np.maximum(seen[1], np.minimum(seen[0], shown))
-            seen[0] = np.maximum(seen[0], shown)
             is_empty = cv2.dilate(own, np.ones((3, 3), np.uint8)) == EMPTY
             verdict[np.isfinite(missed) & is_empty] = kernels.BLOCKED
-            self._vote(table, near, verdict)
+            self._vote(c, near, verdict)
         return True
 
     def occluders(self) -> Occluders:
@@ -138,9 +135,14 @@ class OccluderLearner:
             maps[camera.name] = depth
         return Occluders(maps, CELL_PX)
 
-    def _vote(self, table: Rays, near: DepthMap, verdict: Cells) -> None:
+    def _vote(self, c: int, near: DepthMap, verdict: Cells) -> None:
+        """Count a camera's verdicts (h, w) on what lies before the depths (h, w) m of somebody."""
+        shown = np.where(verdict == kernels.FREE, near, np.float32(-np.inf))
+        seen = self._seen_m[c]
+        seen[1] = np.maximum(seen[1], np.minimum(seen[0], shown))
+        seen[0] = np.maximum(seen[0], shown)
         kernels.vote_along_rays(
-            near.ravel(), verdict.ravel(), *table, BLOCKED_MARGIN_M, self.n_free, self.n_blocked
+            near.ravel(), verdict.ravel(), *self._tables[c], BLOCKED_MARGIN_M, self.n_free, self.n_blocked
         )
 
     def _cut_off(self, voxels: Voxels, is_sure: NDArray[np.bool_]) -> Iterator[Array]:
@@ -162,8 +164,8 @@ class OccluderLearner:
         found = [_legs_in(own, camera, below) for own, camera in zip(cells, self._rig, strict=True)]
         if max(legs.shown_share for legs in found) < _SHOWN_SHARE:
             return
-        for legs, table in zip(found, self._tables, strict=True):
-            self._vote(table, legs.near, legs.verdict)
+        for c, legs in enumerate(found):
+            self._vote(c, legs.near, legs.verdict)
 
     def _cores(self, voxels: Voxels) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which voxels (N,) of a generous hull lie inside somebody, and which inside somebody who stands where none has
@@ -207,7 +209,7 @@ class OccluderLearner:
         variances, axes = np.linalg.eigh((points - middle).T @ (points - middle) / len(points))
         place = np.concatenate([middle, ((axes * np.sqrt(np.maximum(variances, 0.0))) @ axes.T).ravel()])
         near = np.linalg.norm(self._places - place, axis=1) < _STEP_M
-        if (self._looked[near] > self._n_looks - _AGAIN_LOOKS).any():
+        if (self._looked[near] > self._n_looks - AGAIN_LOOKS).any():
             return False
         self._places = np.vstack([self._places[~near], place])
         self._looked = np.append(self._looked[~near], self._n_looks)
