@@ -32,8 +32,11 @@ from mocap.pipeline.run import run_session
 from mocap.products.hulls import read_hulls
 
 RESULTS = Path(__file__).with_name("results")
-DEVELOPMENT = ("furnished", "furnished_low", "furnished_pair")
-TEST = ("furnished_test", "furnished_pair_test")
+DEVELOPMENT = (
+    "furnished", "furnished_low", "furnished_pair",
+    "furnished_four", "furnished_close", "furnished_place", "furnished_hidden",
+)  # fmt: skip
+TEST = ("furnished_test", "furnished_pair_test", "furnished_few_test")
 LEGS = ("left_knee", "right_knee", "left_ankle", "right_ankle")
 FIELDS = ("mean_error_mm", "mean_error_after_offset_mm", "mmta_percent", "coverage_90_percent")
 Row = dict[str, str | float | int | None]

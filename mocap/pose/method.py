@@ -29,6 +29,11 @@ class EvidenceSettings(_Strict):
     """How far beyond the hull particles may meet themselves."""
     hidden_reach_m: float = 0.9
     """How far beyond the hull hidden limbs may lie where nothing is known: the length of a leg."""
+    cut_off_m: float = 0.35
+    """A hull that ends higher, with the unknown below, is that of somebody whose legs are hidden."""
+    hidden_leg_std_rad: float = 0.3
+    """How far the angles of such legs are from 0: half a nat at this angle, 14 at a bent hip of 90 degrees, which the
+    surface of a hull that is too wide is worth."""
     min_voxels: int = 200
     """Fewer (1.6 litres at 2 cm) are no body: the pose is carried on instead."""
     nats_per_m2: float = 90_000.0

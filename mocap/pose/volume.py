@@ -44,6 +44,7 @@ from mocap.likelihood.voxels import (
 )
 from mocap.pose.deviation import fit_information
 from mocap.pose.evidence import FrameEvidence, FrameFit, PersonTools
+from mocap.pose.limbs import legs_of
 from mocap.pose.method import EvidenceSettings, StartSettings
 from mocap.pose.posture import Posture, usual_posture
 from mocap.pose.settings import PoseSettings
@@ -215,7 +216,34 @@ class VolumeEvidence:
         n_outline = self.outlines.n_points if self.outlines is not None else 0
         share = self.surface.n_points / n_outline if n_outline else 0.0
         weights = settings.surface_weight, settings.outline_weight * share
-        return BodyFit(self.surface, self.outlines, *weights, 1.0 / settings.method.evidence.nats_per_m2)
+        return BodyFit(
+            self.surface,
+            self.outlines,
+            *weights,
+            1.0 / settings.method.evidence.nats_per_m2,
+            self._usual_std if self.hides_legs else None,
+        )
+
+    @cached_property
+    def hides_legs(self) -> bool:
+        """Whether the hull ends above the floor and what is below is unknown: the legs are there, unseen."""
+        own, grid = self.hull.hull, self.tools.grid
+        if not len(own.unknown) or not len(own.voxels):
+            return False
+        lowest = float(grid.centers(own.voxels)[:, 2].min())
+        return lowest > self.tools.settings.method.evidence.cut_off_m
+
+    @property
+    def _usual_std(self) -> Array:
+        """How far angles usually are from 0, (D,): unseen legs carry the body and do not hide in the hull."""
+        body = self.tools.body
+        usual, legs = body.usual_std.copy(), legs_of(body)
+        if legs is not None:
+            columns = np.concatenate([leg.columns for leg in legs])
+            usual[columns] = np.minimum(
+                usual[columns], self.tools.settings.method.evidence.hidden_leg_std_rad
+            )
+        return usual
 
     @cached_property
     def coarse(self) -> VolumeEvidence:

@@ -244,7 +244,8 @@ def _doubted(evidence: SilhouetteEvidence, unexplained: Array) -> list[CameraFau
     for c in range(n_cameras):
         for stretch in _odd_stretches(unexplained[:, c], usual):
             fault = _diagnose(evidence, unexplained[:, c], c, *stretch, usual)
-            if fault.kind == "moved" and _background_stands(evidence, c, *stretch[:2]):
+            is_excused = ("moved", "misfit") if evidence.is_furnished else ("moved",)
+            if fault.kind in is_excused and _background_stands(evidence, c, *stretch[:2]):
                 # Its mask holds what the hull of the others lacks: somebody whom too few of them see.
                 continue
             # Somebody who comes in is seen by one camera first, and by the hull a few frames later: no lag.

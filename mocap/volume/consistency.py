@@ -66,6 +66,7 @@ class SilhouetteEvidence:
     change : (T, C) share of the mask that is new or gone since the last frame, NaN without a mask.
     picture_change, brightness, contrast : (T, C) mean absolute difference to the last picture, mean and standard
     deviation, grey levels; NaN without pictures.  snapshots : some frames, evenly spread.
+    is_furnished : something is known to stand before people.
     """
 
     names: tuple[str, ...]
@@ -80,6 +81,7 @@ class SilhouetteEvidence:
     brightness: NDArray[np.float32]
     contrast: NDArray[np.float32]
     snapshots: tuple[Snapshot, ...]
+    is_furnished: bool = False
 
 
 class ConsistencyMonitor:
@@ -178,6 +180,7 @@ class ConsistencyMonitor:
             brightness=column("brightness"),
             contrast=column("contrast"),
             snapshots=tuple(self._snapshots.items),
+            is_furnished=self._carver.occluders is not None,
         )
 
     def _shrunk(self, masks: Sequence[Mask]) -> Small:

