@@ -31,6 +31,8 @@ class EvidenceSettings(_Strict):
     """How far beyond the hull hidden limbs may lie where nothing is known: the length of a leg."""
     cut_off_m: float = 0.35
     """A hull that ends higher, with the unknown below, is that of somebody whose legs are hidden."""
+    upright_share: float = 0.85
+    """Of the standing height, which the head of somebody upright exceeds."""
     hidden_leg_std_rad: float = 0.3
     """How far the angles of such legs are from 0: half a nat at this angle, 14 at a bent hip of 90 degrees, which the
     surface of a hull that is too wide is worth."""

@@ -226,12 +226,16 @@ class VolumeEvidence:
 
     @cached_property
     def hides_legs(self) -> bool:
-        """Whether the hull ends above the floor and what is below is unknown: the legs are there, unseen."""
+        """Whether the hull of somebody upright ends above the floor, and what is below is unknown: legs, unseen.
+
+        Who sits has bent legs, and of those nothing is known.
+        """
         own, grid = self.hull.hull, self.tools.grid
         if not len(own.unknown) or not len(own.voxels):
             return False
-        lowest = float(grid.centers(own.voxels)[:, 2].min())
-        return lowest > self.tools.settings.method.evidence.cut_off_m
+        numbers, height = self.tools.settings.method.evidence, grid.centers(own.voxels)[:, 2]
+        is_upright = height.max() > numbers.upright_share * self.tools.body.height_m
+        return bool(is_upright and height.min() > numbers.cut_off_m)
 
     @property
     def _usual_std(self) -> Array:
