@@ -53,7 +53,7 @@ BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface ma
 _MANY = 6  # of so many cameras hulls forgive one
 _MIN_NEEDING = 3  # cameras whose foreground nothing surer explains; the rays of two cross in many places
 # Legs that too few cameras see for a volume. Who ends above this height without touching the floor is cut off; one
-# camera must show him at this share of the heights below, so that who jumps is whole.
+# camera must show him at this share of the lower half of the heights below, so that who jumps is whole.
 _CUT_OFF_M, _CUT_OFF_TOP_M = 0.35, 0.9
 _SHOWN_SHARE = 0.6
 _WAIST_M = 0.3  # the lowest part of what is seen, under which the legs are
@@ -262,7 +262,7 @@ def masks_by_cells(masks: Sequence[Mask]) -> list[Cells]:
 @dataclass(frozen=True, eq=False)
 class _Legs:
     """What a camera shows below somebody's waist: verdict and depth (h, w) of what surely hides or shows legs, and the
-    share of the heights at which it shows anything."""
+    share of the lower half of the heights at which it shows anything."""
 
     near: DepthMap
     verdict: Cells
@@ -277,18 +277,18 @@ def _legs_in(cells: Cells, camera: Camera, below: Array) -> _Legs:
     stride, hip = np.ceil(_STRIDE_M * per_m).astype(int), np.ceil(_HIP_M * per_m).astype(int)
     near = np.full(cells.shape, np.inf, dtype=np.float32)
     verdict = np.full(cells.shape, kernels.NO_VOTE, dtype=np.uint8)
-    n_shown = 0
+    shows = np.zeros(len(below), dtype=np.bool_)
     for i in np.flatnonzero(at >= 0):
         v, u = divmod(int(at[i]), camera.size[0])
         rows = slice(max(v - 1, 0), v + 2)
         inner = rows, slice(max(u - hip[i], 0), u + hip[i] + 1)
         near[inner] = depth[i] - _HIP_M
         if (cells[rows, max(u - stride[i], 0) : u + stride[i] + 1] != EMPTY).any():
-            n_shown += 1
+            shows[i] = True
             verdict[inner] = np.where(cells[inner] == FULL, kernels.FREE, kernels.NO_VOTE)
         else:
             verdict[inner] = kernels.BLOCKED
-    return _Legs(near, verdict, n_shown / len(below))
+    return _Legs(near, verdict, float(shows[: -(-len(below) // 2)].mean()))
 
 
 def _space_of(rig: CameraRig, grid: VoxelGrid, side: float) -> VoxelGrid:
