@@ -219,19 +219,29 @@ def bundle(
 
 def convert_calibration(
     source: Annotated[Path, typer.Argument(help="Calibration file of any supported format.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="TOML file to write (metres, world to camera).")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write; of easymocap the folder.")],
     units: Annotated[
         str | None, typer.Option("--units", help="m, cm or mm, when the file does not say.")
     ] = None,
+    to: Annotated[
+        str,
+        typer.Option("--to", help="mocap, anipose, pose2sim, caliscope, easymocap, opencv or panoptic."),
+    ] = "mocap",
 ) -> None:
-    """Read a calibration of any supported format and write our own TOML in metres."""
-    from mocap.io.calibration import read_calibration, write_calibration
+    """Read a calibration of any supported format and write our own TOML in metres, or the file of another tool."""
+    from mocap.io.calibration import FORMATS, read_calibration, write_calibration, write_rig
     from mocap.io.units import UNITS
 
     check_choice("--units", units, UNITS)
+    check_choice("--to", to, FORMATS)
     found = read_calibration(source, units=units, check_world=False)
-    write_calibration(out, found.rig, metadata={"source_format": found.format})
-    typer.echo(f"{found.format}, units {found.units}: {len(found.rig)} cameras -> {out}")
+    if to == "mocap":
+        write_calibration(out, found.rig, metadata={"source_format": found.format})
+        written: tuple[Path, ...] = (out,)
+    else:
+        written = write_rig(out, found.rig, to)
+    where = ", ".join(map(str, written))
+    typer.echo(f"{found.format}, units {found.units}: {len(found.rig)} cameras -> {where}")
     for note in (*found.notes, *found.warnings):
         typer.echo(f"  {note}")
 

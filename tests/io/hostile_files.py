@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import pickle
 import re
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from foreign_rigs import colmap_model, humaneva, opencap_values, opensfm, truth
 from io_samples import look_at, write_video
 
 from mocap.body import load_body_model
@@ -157,6 +159,55 @@ def _calibrations(folder: Path) -> Iterator[Sample]:
     intri, extri = "\n".join([*inner, ""]).encode(), "\n".join([*outer, ""]).encode()
     yield Sample("calibration EasyMocap", "intri.yml", intri, _calibration, {"extri.yml": extri})
     yield Sample("calibration EasyMocap", "extri.yml", extri, _calibration, {"intri.yml": intri})
+    yield from _foreign_calibrations(folder)
+
+
+def _foreign_calibrations(folder: Path) -> Iterator[Sample]:
+    """Of laboratories and of structure from motion."""
+    lenses = truth("k1 k2 p1 p2 k3")
+    values = opencap_values(lenses[0], np.eye(3))
+    for protocol in (2, 4):
+        data = pickle.dumps(values, protocol=protocol)
+        yield Sample("calibration OpenCap", "cam.pickle", data, _calibration, is_text=False)
+    yield Sample("calibration HumanEva", "c.cal", humaneva(lenses[0]).encode(), _calibration)
+    pose = np.column_stack([lenses[0].R, 1000 * lenses[0].t]).tolist()
+    rows = [*(" ".join(map(repr, row)) for row in (*lenses[0].K.tolist(), *pose)), "0 0 0 1"]
+    biocv = "\n".join(["1280", "720", *rows, "", "0.1 0.01 0 0 0", ""])
+    yield Sample("calibration bioCV", "c.calib", biocv.encode(), _calibration)
+    vicon = (
+        '<Cameras><Camera DEVICEID="1" TYPE="VIDEO" SENSOR_SIZE="64 48"><KeyFrames><KeyFrame FOCAL_LENGTH="60" '
+        'PRINCIPAL_POINT="32 24" ORIENTATION="0.5 0.5 0.5 0.5" POSITION="1 2000 3" '
+        'VICON_RADIAL2="ViconRadial2 1 2 0.1 0.2 0.3"/></KeyFrames></Camera></Cameras>'
+    )
+    yield Sample("calibration Vicon", "c.xcp", vicon.encode(), _calibration)
+    turn = " ".join(f'r{i}{j}="{int(i == j)}"' for i in (1, 2, 3) for j in (1, 2, 3))
+    qualisys = (
+        '<?xml version="1.0"?><calibration><cameras><camera serial="a" model="none"><fov_video left="0" top="0" '
+        f'right="63" bottom="47"/><transform x="1" y="2000" z="3" {turn}/><intrinsic focalLengthU="3840" '
+        'focalLengthV="3840" centerPointU="2048" centerPointV="1536" radialDistortion1="0" radialDistortion2="0" '
+        'tangentalDistortion1="0" tangentalDistortion2="0"/></camera></cameras></calibration>'
+    )
+    yield Sample("calibration Qualisys", "c.qca.txt", qualisys.encode(), _calibration)
+    yield Sample(
+        "calibration OpenSfM", "c.json", json.dumps([opensfm(lenses, "brown")]).encode(), _calibration
+    )
+    for ending in ("txt", "bin"):
+        place = folder / f"colmap_{ending}"
+        place.mkdir(exist_ok=True)
+        colmap_model(place, truth("k1 k2 p1 p2"), "OPENCV", is_binary=ending == "bin")
+        cameras, images = ((place / f"{part}.{ending}").read_bytes() for part in ("cameras", "images"))
+        for name, own, other, beside in (
+            ("cameras", cameras, "images", images),
+            ("images", images, "cameras", cameras),
+        ):
+            yield Sample(
+                f"calibration COLMAP .{ending}",
+                f"{name}.{ending}",
+                own,
+                _calibration,
+                {f"{other}.{ending}": beside},
+                is_text=ending == "txt",
+            )
 
 
 def _calibration(path: Path) -> object:

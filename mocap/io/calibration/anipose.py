@@ -166,32 +166,32 @@ def write_calibration(path: Path | str, rig: CameraRig, *, metadata: dict[str, A
     for i, camera in enumerate(rig):
         lines += [
             f"[cam_{i}]",
-            f"name = {_toml(camera.name)}",
+            f"name = {toml_value(camera.name)}",
             f"size = [{camera.size[0]}, {camera.size[1]}]",
-            f"matrix = {_toml(camera.K)}",
-            f"distortions = {_toml(camera.dist)}",
-            f"rotation = {_toml(rotation_vector_from_matrix(camera.R))}",
-            f"rotation_matrix = {_toml(camera.R)}",
-            f"translation = {_toml(camera.t)}",
-            f"fisheye = {_toml(camera.is_fisheye)}",
+            f"matrix = {toml_value(camera.K)}",
+            f"distortions = {toml_value(camera.dist)}",
+            f"rotation = {toml_value(rotation_vector_from_matrix(camera.R))}",
+            f"rotation_matrix = {toml_value(camera.R)}",
+            f"translation = {toml_value(camera.t)}",
+            f"fisheye = {toml_value(camera.is_fisheye)}",
             "",
         ]
     about = {"format": "mocap", **(metadata or {}), "units": "m", "up": "z"}
     lines.append("[metadata]")
-    lines += [f"{_toml_key(key)} = {_toml(value)}" for key, value in about.items()]
+    lines += [f"{_toml_key(key)} = {toml_value(value)}" for key, value in about.items()]
     atomic_text(Path(path), "\n".join(lines) + "\n")
 
 
 def _toml_key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml(key)
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else toml_value(key)
 
 
-def _toml(value: Any) -> str:
+def toml_value(value: Any) -> str:
     """A TOML value; floats by repr, which is exact."""
     if isinstance(value, np.ndarray):
-        return _toml(value.tolist())
+        return toml_value(value.tolist())
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml(v) for v in value) + "]"
+        return "[" + ", ".join(toml_value(v) for v in value) + "]"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (float, np.floating)):

@@ -5,6 +5,7 @@ Every conversion that a reader makes is reported in `CalibrationFile.notes`, eve
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from mocap.errors import MocapError
@@ -12,12 +13,23 @@ from mocap.files import load_json
 from mocap.io.calibration.anipose import read_toml
 from mocap.io.calibration.easymocap import read_easymocap
 from mocap.io.calibration.frame import in_our_frame
+from mocap.io.calibration.laboratory import joined, read_biocv, read_humaneva, read_qualisys, read_vicon
+from mocap.io.calibration.opencap import opencap_files, read_opencap
 from mocap.io.calibration.opencv import read_opencv, read_opencv_folder
 from mocap.io.calibration.panoptic import read_panoptic
+from mocap.io.calibration.reconstruction import is_colmap, is_opensfm, read_colmap, read_opensfm
 from mocap.io.calibration.record import CalibrationFile, RawRig
 from mocap.io.units import AXES, METRES_PER_UNIT
 
 _STORAGE_SUFFIXES = {".yml", ".yaml", ".xml"}
+_PICKLE_SUFFIXES = {".pickle", ".pkl"}
+_QUALISYS = ".qca.txt"
+_COLMAP_STEMS = {"cameras", "images"}
+_READERS: dict[str, Callable[[Path], RawRig]] = {
+    ".cal": read_humaneva,
+    ".calib": read_biocv,
+    ".xcp": read_vicon,
+}
 
 
 def read_calibration(
@@ -27,7 +39,9 @@ def read_calibration(
 
     path : anipose, Pose2Sim, FreeMoCap or Caliscope TOML; EasyMocap intri.yml or extri.yml (or their folder);
     OpenCV FileStorage YAML, XML or JSON with camera_matrix, distortion and extrinsics, one camera per file (a
-    folder of them makes a rig) or one map per camera; CMU Panoptic JSON.
+    folder of them makes a rig) or one map per camera; CMU Panoptic JSON; OpenCap's pickles (their folder; the pickle is
+    not run); HumanEva .cal and bioCV .calib (one camera per file, a folder makes a rig); Qualisys .qca.txt; Vicon .xcp;
+    a model of COLMAP (its folder) and reconstruction.json of OpenSfM.
     units : "m", "cm" or "mm" of the translations; overrides what the file says.
     up : axis of the file that points up, "z", "-y", ...; None = what the file or its format says, else z.
     check_world : False accepts a world whose floor is not at z = 0 (a file that is only to be converted).
@@ -55,29 +69,52 @@ def _read_file(path: Path) -> RawRig:
     if suffix == ".toml":
         return read_toml(path)
     if suffix == ".json":
-        document = load_json(path, "the calibration", remedy="correct the file or calibrate again")
-        is_panoptic = isinstance(document, dict) and isinstance(document.get("cameras"), list)
-        return read_panoptic(path, document) if is_panoptic else read_opencv(path)
+        return _read_json(path)
     if suffix in _STORAGE_SUFFIXES:
         return read_easymocap(path) if path.stem in {"intri", "extri"} else read_opencv(path)
+    if suffix in _PICKLE_SUFFIXES:
+        return read_opencap([path])
+    if suffix in _READERS:
+        return _READERS[suffix](path)
+    if path.stem in _COLMAP_STEMS and suffix in {".txt", ".bin"}:
+        return read_colmap(path.parent)
+    if path.name.lower().endswith(_QUALISYS):
+        return read_qualisys(path)
     raise MocapError(
         f"calibration format {suffix or 'without suffix'} is not known",
         path=path,
         remedy="give .toml (anipose, Pose2Sim, FreeMoCap, Caliscope), .yml, .yaml, .xml or .json (OpenCV, "
-        "EasyMocap) or .json (CMU Panoptic)",
+        "EasyMocap), .json (CMU Panoptic, OpenSfM), .pickle (OpenCap), .cal (HumanEva), .calib (bioCV), .qca.txt "
+        "(Qualisys), .xcp (Vicon) or the folder of a COLMAP model",
     )
+
+
+def _read_json(path: Path) -> RawRig:
+    document = load_json(path, "the calibration", remedy="correct the file or calibrate again")
+    if is_opensfm(document):
+        return read_opensfm(path, document)
+    is_panoptic = isinstance(document, dict) and isinstance(document.get("cameras"), list)
+    return read_panoptic(path, document) if is_panoptic else read_opencv(path)
 
 
 def _read_folder(path: Path) -> RawRig:
     for suffix in (".yml", ".yaml"):
         if (path / f"intri{suffix}").is_file() or (path / f"extri{suffix}").is_file():
             return read_easymocap(path / f"intri{suffix}")
+    if is_colmap(path):
+        return read_colmap(path)
+    if pickles := opencap_files(path):
+        return read_opencap(pickles)
+    for suffix in (".cal", ".calib"):
+        if files := sorted(p for p in path.iterdir() if p.suffix.lower() == suffix):
+            return joined([_READERS[suffix](file) for file in files])
     files = sorted(p for p in path.iterdir() if p.suffix.lower() in {*_STORAGE_SUFFIXES, ".json"})
     if not files:
         raise MocapError(
             "the folder holds no calibration",
             path=path,
-            remedy="give the calibration file itself, or a folder with one OpenCV .yml per camera",
+            remedy="give the calibration file itself, or a folder with one OpenCV .yml, HumanEva .cal or bioCV .calib "
+            "per camera, of an OpenCap session, or of a COLMAP model",
         )
     return read_opencv_folder(path, files)
 
@@ -126,4 +163,10 @@ def _has_name(path: Path) -> bool:
         return False
     is_toml = suffix == ".toml" and ("calib" in stem or stem.startswith("camera_array"))
     is_storage = suffix in {*_STORAGE_SUFFIXES, ".json"} and "calib" in stem
-    return is_toml or is_storage or path.name in {"extri.yml", "extri.yaml"}
+    is_laboratory = suffix == ".xcp" or path.name.lower().endswith(_QUALISYS)
+    return (
+        is_toml
+        or is_storage
+        or is_laboratory
+        or path.name in {"extri.yml", "extri.yaml", "reconstruction.json"}
+    )
