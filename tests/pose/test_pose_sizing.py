@@ -118,10 +118,10 @@ def test_without_frames_there_is_no_size() -> None:
 
 
 @pytest.mark.parametrize("with_cupboard", [False, True])
-def test_no_size_is_fitted_to_a_volume_that_holds_more_than_the_person(
+def test_no_size_is_fitted_and_outlines_say_little_where_the_volume_holds_more_than_the_person(
     with_cupboard: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A larger body would explain the furniture as well."""
+    """A larger body would explain the furniture as well, and its outlines are not the person's."""
     fitted = []
 
     def sized(clip: person.VolumeClip, height: object, first: object, *, seed: int) -> tuple[object, ...]:
@@ -144,5 +144,6 @@ def test_no_size_is_fitted_to_a_volume_that_holds_more_than_the_person(
     observation = VolumeObservation(t, lambda _: hull)
     clip = person.VolumeClip(1, np.arange(2), np.tile(state[:3], (2, 1)), observation)
     height = HeightEstimate(HEIGHT_M, is_measured=True)
-    person.start_person(clip, height, seed=0, is_size_fitted=True)
+    start = person.start_person(clip, height, seed=0, is_size_fitted=True)
     assert bool(fitted) is not with_cupboard
+    assert start.tools.settings.outline_weight == (0.3 if with_cupboard else 3.0)
