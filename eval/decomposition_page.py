@@ -87,6 +87,13 @@ and errors with a floor, as the published ones have, need a slower film. Cells: 
 published order holds (decided for / against), and the ratio from least to most; N = 50, scenes of their own
 (`python -m eval.decomposition_own_worlds`)."""
 
+VIDEO_HEAD = """XN shows Figure 5-19 (PS with residual against combinatorial resampling, N = 500) as pictures of a
+person who jumps, without numbers, and Figure 6-4 as curves that are lost. Here a dancer of ours in one rendered clip,
+{frames} pictures: 10 parts with three columns each, colour histograms of the first picture. Error: mean distance of
+both ends of all parts from the truth, px, ± the standard deviation over {runs} runs; each particle of Figure 6-4's
+filters is scored four times. Times are processor time per frame. Command:
+`python -m eval.decomposition_video --frames {frames} --runs {runs}`."""
+
 REGIME_ADVICE = """\
 What this means for a choice:
 
@@ -404,6 +411,27 @@ def regimes() -> list[str]:
     return out
 
 
+def video() -> list[str]:
+    """XN Figures 5-19 and 6-4 on a recording of our own; nothing without results."""
+    lines = read_csv(RESULTS / "decomposition_video.csv")
+    if not lines:
+        return []
+    words = VIDEO_HEAD.format(frames=lines[0]["frames"], runs=lines[0]["runs"])
+    out = ["## A dancer in one clip (XN Figures 5-19 and 6-4 on a recording of ours)", "", words]
+
+    def cell(line: Line) -> str:
+        return f"{float(line['error_px']):.2f} ± {float(line['std_px']):.2f}, {float(line['step_ms']):.0f} ms"
+
+    for figure in ("5-19", "6-4"):
+        own = [line for line in lines if line["figure"] == figure]
+        counts = list(dict.fromkeys(line["n_particles"] for line in own))
+        found = {(line["method"], line["n_particles"]): line for line in own}
+        out += ["", _row([f"XN Figure {figure}", *(f"N = {n}" for n in counts)]), _rule(1 + len(counts))]
+        for method in dict.fromkeys(line["method"] for line in own):
+            out.append(_row([method, *(cell(found[method, n]) for n in counts)]))
+    return [*out, ""]
+
+
 def as_printed() -> list[str]:
     """The section on the annealed layers that only smooth; nothing without results."""
     claims = read_csv(RESULTS / "decomposition_as_printed_ranking.csv")
@@ -564,7 +592,7 @@ def page() -> str:
     if steps:
         out += ["## Width of the walk (ours)", "", STEPS_HEAD, "", *errors(steps), ""]
         out += [*by_cell(read_csv(RESULTS / "decomposition_steps_ranking.csv")), ""]
-    out += [*as_printed(), *regimes()]
+    out += [*as_printed(), *regimes(), *video()]
     bodies = read_csv(RESULTS / "decomposition_3d.csv")
     if bodies:
         out += ["## 3D bodies: mean landmark error, mm", "", "![3D](../eval/results/decomposition_3d.png)"]
