@@ -12,6 +12,8 @@ from mocap.body._kernels import cones_on_lattice
 from mocap.body.kinematics import joint_transforms
 from mocap.body.model import Body
 
+_LATTICE_SHIFTS = (0.0, 0.5, 0.25, 0.75)  # of its side, tried in turn
+
 
 @dataclass(frozen=True, eq=False)
 class LookUpTable:
@@ -69,11 +71,23 @@ def build_look_up_table(body: Body, spacing_m: float) -> LookUpTable:
     Source: CF Eq. 6.11; spacing_m / voxel size is the density factor of CF Eq. 6.26. A point counts as surface
     when a 6-neighbour of it lies outside the whole body in the rest pose, so that joints inside the body are
     no surface. With `body.exclusive` a point inside several parts belongs to the one it lies deepest in; a segment that
-    lies in others altogether shares their points, and one between all points of the lattice is left out.
-    Raises ValueError when a part is too thin to hold one point.
+    lies in others altogether shares their points, and one between all points of the lattice is left out. A lattice that
+    runs past a whole part, a thin forearm between two rows perhaps, is moved by parts of its side.
+    Raises ValueError when a part is too thin to hold one point of any of these lattices.
     """
     if not spacing_m > 0:
         raise ValueError(f"spacing_m must be positive, got {spacing_m}")
+    tables = (_table_on_lattice(body, spacing_m, shift) for shift in _LATTICE_SHIFTS)
+    found = next((table for table in tables if len(set(table.part.tolist())) == body.layout.n_parts), None)
+    if found is None:
+        parts = set(_table_on_lattice(body, spacing_m, 0.0).part.tolist())
+        thin = next(name for p, name in enumerate(body.layout.parts) if p not in parts)
+        raise ValueError(f"part {thin} is too thin for a spacing of {spacing_m} m")
+    return found
+
+
+def _table_on_lattice(body: Body, spacing_m: float, shift: float) -> LookUpTable:
+    """The table on one lattice, without parts that hold none of its points.  shift : of the lattice, in its side."""
     rest = np.zeros((1, body.layout.n_columns))
     R, t = joint_transforms(body, rest)
     cones = body.cones
@@ -84,7 +98,7 @@ def build_look_up_table(body: Body, spacing_m: float) -> LookUpTable:
     lower = np.minimum(start, end) - reach
     upper = np.maximum(start, end) + reach
     n = np.ceil((upper.max(axis=0) - lower.min(axis=0)) / spacing_m).astype(int) + 4
-    origin = lower.min(axis=0) - 1.5 * spacing_m
+    origin = lower.min(axis=0) - (1.5 - shift) * spacing_m
     inside = np.zeros((len(cones.joint), *n), dtype=np.bool_)
     deepest = np.full(tuple(n), -1, dtype=np.int64)
     cones_on_lattice(origin, spacing_m, start, end, cones.radii, body.round_ends, inside, deepest)
@@ -120,15 +134,13 @@ def build_look_up_table(body: Body, spacing_m: float) -> LookUpTable:
         parts.append(part)
         centers.append(center)
         radii.append(np.linalg.norm(local - center, axis=1).max())
-    if thin := sorted(set(cones.part.tolist()) - set(parts)):
-        raise ValueError(f"part {body.layout.parts[thin[0]]} is too thin for a spacing of {spacing_m} m")
     return LookUpTable(
-        points=np.concatenate(tables),
+        points=np.concatenate([np.zeros((0, 3), dtype=np.float32), *tables]),
         start=np.array(starts, dtype=np.int64),
         n_surface=np.array(n_surface, dtype=np.int64),
         joint=np.array(joints, dtype=np.int64),
         part=np.array(parts, dtype=np.int64),
         spacing_m=float(spacing_m),
-        center=np.array(centers),
+        center=np.array(centers).reshape(-1, 3),
         radius=np.array(radii),
     )
