@@ -1,12 +1,13 @@
-"""What of the error is constant on its segment, what is not: where a body's joints stand wrongly, and what else is left.
+"""How much of the error is constant on its segment: where a body's joints stand wrongly, and what else is left.
 
     python -m eval.landmark_bias [--only dev:walk,dev:cross] [--bodies before,now] [--seeds 1] [--work out/eval]
 
-Runs the default preset with the body as it is (`now`) and as it was before decision 48 (`before`,
-eval/bodies/girdle_before.toml); stages before the poses are computed once per session. A landmark's error is turned into
-the frame of the joint that carries it. Its mean there, over the frames in which the landmark is found within 100 mm, is the bias: a joint
-at another place in the flesh, or a segment of another length. `rest` is what is left without it, `fast` the part of that which changes within
-0.3 s. Writes eval/results/landmark_bias.csv: one row per session, person, body, seed and kind of landmark, kind `all` with the scores.
+Runs the default preset with the body as it is (`now`) and as it was before decision 52 (`before`,
+eval/bodies/girdle_before.toml); stages before the poses are computed once per session. A landmark's error is turned
+into the frame of the joint that carries it. Its mean there, over the frames in which the landmark is found within
+100 mm, is the bias: a joint at another place in the flesh, or a segment of another length. `rest` is what is left
+without it, `fast` the part of that which changes within 0.3 s. Writes eval/results/landmark_bias.csv: one row per
+session, person, body, seed and kind of landmark, kind `all` with the scores.
 """
 
 from __future__ import annotations
