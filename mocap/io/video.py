@@ -289,8 +289,9 @@ class DepthReader(_Reader[DepthMap]):
         own = self._cameras[camera]
         width, height = own.size
         step = (own.filmed_size or own.size)[0] // width * self._units.scale
-        rows = ((np.arange(height) + 0.5) * step).astype(np.int64)
-        columns = ((np.arange(width) + 0.5) * step).astype(np.int64)
+        # A map of half as many pixels may lack half a pixel at its ends.
+        rows = np.minimum((np.arange(height) + 0.5) * step, picture.shape[0] - 1).astype(np.int64)
+        columns = np.minimum((np.arange(width) + 0.5) * step, picture.shape[1] - 1).astype(np.int64)
         return np.asarray(picture[np.ix_(rows, columns)])
 
 

@@ -10,6 +10,7 @@ import pytest
 from io_samples import frame_picture, write_picture
 
 from mocap.data import Camera, CameraRig
+from mocap.data.depth import DepthUnits
 from mocap.errors import MocapError
 from mocap.io import check_session, open_session
 from mocap.io.calibration import write_calibration
@@ -94,6 +95,19 @@ def test_a_reduced_camera_takes_the_reading_at_the_middle_of_its_pixels(tmp_path
     np.testing.assert_allclose(found, whole[1::2, 1::2], atol=1e-4)
 
 
+def test_a_map_that_lacks_half_a_pixel_is_read_to_its_end(tmp_path: Path) -> None:
+    odd = Camera("a", (97, 65), RIG["a"].K, np.zeros(4), RIG["a"].R, RIG["a"].t)
+    units = DepthUnits(scale=0.5)
+    assert units.size_of(odd.size) == (48, 32)
+    numbers = np.arange(48 * 32, dtype=np.uint16).reshape(32, 48)
+    write_map(tmp_path, 0, numbers)
+    with DepthReader({"a": tmp_path / "depth" / "a"}, CameraRig((odd,)), [0], units) as reader:
+        ((_, (found,)),) = list(reader)
+    assert found.shape == (65, 97)
+    np.testing.assert_allclose(found[::2, ::2][:32, :48] * 1000, numbers, rtol=1e-5)
+    np.testing.assert_allclose(found[-1, -1] * 1000, numbers[-1, -1], rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("stored_mm", "said_mm", "better"),
     [
@@ -118,7 +132,7 @@ def test_where_no_floor_is_read_the_unit_is_believed(tmp_path: Path) -> None:
     for frame in range(N):
         write_map(root, frame, np.zeros(SIZE[::-1], np.uint16))
     session = open_session(root)
-    (found,) = [f for f in check_session(session) if "depth" in f.message]
+    (found,) = [f for f in check_session(session) if f.message.startswith("depth: ")]
     assert (found.severity, found.camera) == ("warning", "a")
     assert "0 % of its pixels" in found.message
 

@@ -169,6 +169,8 @@ def clips(session: Session) -> list[Finding]:
         what.append("detections")
     if session.keypoint_sources:
         what.append("keypoints")
+    if session.depth_sources:
+        what.append(f"depth of {', '.join(session.depth_sources)}")
     counts = sorted({clip.n_frames for clip in session.clips.values()})
     spread = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}" if counts else "no"
     frames = session.frames
