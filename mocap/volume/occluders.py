@@ -218,6 +218,13 @@ class OccluderLearner:
         return True
 
 
+def painted(rig: CameraRig, points: Array, side: float) -> Occluders:
+    """What cubes of one side, m, around points (N, 3) m hide from each camera."""
+    small = CameraRig(tuple(camera.reduced(CELL_PX) for camera in rig))
+    squares, every = _squares(small, points, side), np.ones(len(points), dtype=np.bool_)
+    return Occluders({camera.name: squares.nearest(c, every) for c, camera in enumerate(rig)}, CELL_PX)
+
+
 def no_occluders() -> Occluders:
     """Nothing stands anywhere."""
     return Occluders({}, CELL_PX)

@@ -16,6 +16,7 @@ from mocap.pipeline.config import load_config
 from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.run import run_session
 from mocap.products.hulls import measured_from_arrays
+from mocap.products.occluders import stored_occluders
 
 SCENE = {
     "name": "small",
@@ -94,3 +95,22 @@ def test_maps_and_their_unit_are_in_the_keys(session: Path, tmp_path: Path) -> N
     (copy / "session.toml").write_text(text)
     shutil.copy(copy / "depth" / "cam_1" / "000000.png", copy / "depth" / "cam_1" / "000002.png")
     assert stage_keys(open_session(copy), config, 0)["carve"] != before["carve"]
+
+
+def test_furniture_that_is_measured_stands_in_the_way(tmp_path: Path) -> None:
+    pytest.importorskip("embreex", reason="rendering needs the extra synth (embreex)")
+    from mocap.synth import synthesise
+    from mocap.synth.scene import scene_from_dict
+
+    box = {"lower_m": [-0.3, -0.3, 0.0], "upper_m": [0.3, 0.3, 0.8]}
+    person = {"seed": 5, "motion": {"kind": "walk", "radii_m": [1.0, 0.9]}}
+    scene = {**SCENE, "n_frames": 8, "rig": {"n_cameras": 4, "size_px": [320, 240]}, "persons": [person]}
+    scene["room"] = {"capture_m": [[-1.4, -1.3, 0.0], [1.4, 1.3, 2.1]], "furniture": [box]}
+    session = synthesise(scene_from_dict(scene), tmp_path / "session", workers=1)
+    store = carved(session, tmp_path / "a")
+    shares = stored_occluders(store, open_session(session).rig).shares
+    assert set(shares) == {"cam_0", "cam_1", "cam_2", "cam_3"}
+    assert shares["cam_1"] > 0.01
+    plain = carved(without_depth(session, tmp_path / "plain"), tmp_path / "b")
+    # Eight frames teach silhouettes nothing.
+    assert not stored_occluders(plain, open_session(session).rig).shares

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.io.session.reading import depth_of
 from mocap.pipeline.stage import Ending, FrameWork, Job, Row, Seen, Sources, Stage, StageReport
 from mocap.pipeline.stages.carve import grid_of
 from mocap.products import masks as masks_product
@@ -16,6 +17,7 @@ from mocap.products.masks import read_masks
 from mocap.products.occluders import PRODUCT, occluder_attrs, occluder_rows, stored_occluders
 from mocap.volume import OccluderLearner, masks_by_cells, no_occluders
 from mocap.volume.occluders import MIN_CAMERAS
+from mocap.volume.standing import StandingScene, nearest_of
 
 # Twice as many cost twice as much and know no more (knees and ankles in the hull 76 and 92 %, 76 and 90 % with these).
 _LOOKS_PER_S = 15.0
@@ -26,15 +28,18 @@ _MOST_LOOKS = 600  # frames of a clip that are looked at; a clip of an hour cost
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """Learning.  learner : None where nothing can be learnt.  stride : every so many frames are looked at."""
+    """Learning.  learner : None where nothing can be learnt.  scene : what depth cameras measure of the room, None
+    without them.  stride : every so many frames are looked at."""
 
     job: Job
     learner: OccluderLearner | None
+    scene: StandingScene | None
     stride: int
 
 
 def _reads(job: Job) -> Sources:
-    return {"masks": read_masks(job.store, job.session)}
+    masks: Sources = {"masks": read_masks(job.store, job.session)}
+    return {**masks, "depth": depth_of(job.session)} if job.session.depth_sources else masks
 
 
 def _start(job: Job) -> _Look:
@@ -42,20 +47,29 @@ def _start(job: Job) -> _Look:
     # Who counts what lies outside a picture as empty cannot abstain inside it.
     is_wanted = volume.occluders == "learn" and volume.outside_view == "abstain" and len(rig) >= MIN_CAMERAS
     learner = OccluderLearner(rig, grid_of(job.session, job.config)) if is_wanted else None
+    names = list(job.session.depth_sources)
+    scene = StandingScene(rig, names, grid_of(job.session, job.config)) if is_wanted and names else None
     n = len(job.session.frames)
-    return _Look(job, learner, max(1, round(job.session.fps / _LOOKS_PER_S), math.ceil(n / _MOST_LOOKS)))
+    return _Look(
+        job, learner, scene, max(1, round(job.session.fps / _LOOKS_PER_S), math.ceil(n / _MOST_LOOKS))
+    )
 
 
 def _step(look: _Look, seen: Seen) -> tuple[_Look, Seen, Sequence[Row]]:
     assert seen.masks is not None
     if look.learner is not None and seen.index % look.stride == 0:
-        look.learner.add(masks_by_cells(seen.masks))
+        cells = masks_by_cells(seen.masks)
+        look.learner.add(cells)
+        if look.scene is not None and seen.depth is not None:
+            look.scene.add(cells, seen.depth)
     return look, seen, ()
 
 
 def _finish(look: _Look) -> Ending:
     rig = look.job.session.rig
     found = no_occluders() if look.learner is None else look.learner.occluders()
+    if look.scene is not None:
+        found = nearest_of(found, look.scene.occluders())
     return Ending(
         rows=[Row(PRODUCT, c, arrays) for c, arrays in occluder_rows(found, rig)],
         attrs={PRODUCT: occluder_attrs(found)},
@@ -98,5 +112,5 @@ OCCLUDERS = Stage(
     report=occluders_report,
     needs=("segment",),
     sections=("volume",),
-    facts=("fps", "room_bounds_m"),
+    facts=("fps", "room_bounds_m", "depth"),
 )
