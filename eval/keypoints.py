@@ -5,7 +5,7 @@ them, by number of cameras, and on synthetic scenes with simulated detections th
 eval/results/ whole: keypoints.csv of keypoints, keypoints_fused.csv of volumes without and with them.
 
     python -m eval.keypoints [--sessions walk,reach,cross,room] [--cameras 2,3,4,7]
-    python -m eval.keypoints --fused [--sessions walk,...,keypoints_gesture_test] [--cameras 4]
+    python -m eval.keypoints --fused [--sessions walk,...,keypoints_gesture_test] [--cameras 4,7]
     python -m eval.keypoints --fit      # the places and the errors of MediaPipe's points, on `steps` and `furnished`
 
 No number was chosen on walk, reach, cross and room: places and deviations of keypoints come from steps and furnished
@@ -211,7 +211,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--sessions", help="default: all of the table")
-    parser.add_argument("--cameras", help="default: 2,3,4,7; with --fused 4")
+    parser.add_argument("--cameras", help="default: 2,3,4,7; with --fused 4,7")
     parser.add_argument("--fused", action="store_true", help="volumes without and with keypoints")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--frames", help="first:stop, for a quick look; nothing is written then")
@@ -231,7 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         (METHODS_WITH_VOLUMES, "keypoints_fused.csv") if options.fused else (METHODS, "keypoints.csv")
     )
     sessions = options.sessions or ",".join((*SESSIONS[:3], *SCENES) if options.fused else SESSIONS)
-    cameras = options.cameras or ("4" if options.fused else "2,3,4,7")
+    cameras = options.cameras or ("4,7" if options.fused else "2,3,4,7")
     wanted = cases(
         sessions.split(","), [int(n) for n in cameras.split(",")], methods, options.seeds, options.work
     )

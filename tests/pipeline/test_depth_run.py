@@ -107,10 +107,13 @@ def test_furniture_that_is_measured_stands_in_the_way(tmp_path: Path) -> None:
     scene = {**SCENE, "n_frames": 8, "rig": {"n_cameras": 4, "size_px": [320, 240]}, "persons": [person]}
     scene["room"] = {"capture_m": [[-1.4, -1.3, 0.0], [1.4, 1.3, 2.1]], "furniture": [box]}
     session = synthesise(scene_from_dict(scene), tmp_path / "session", workers=1)
-    store = carved(session, tmp_path / "a")
-    shares = stored_occluders(store, open_session(session).rig).shares
-    assert set(shares) == {"cam_0", "cam_1", "cam_2", "cam_3"}
-    assert shares["cam_1"] > 0.01
-    plain = carved(without_depth(session, tmp_path / "plain"), tmp_path / "b")
-    # Eight frames teach silhouettes nothing.
-    assert not stored_occluders(plain, open_session(session).rig).shares
+    rig = open_session(session).rig
+    found = stored_occluders(carved(session, tmp_path / "a"), rig)
+    assert set(found.shares) == set(rig.names)
+    towards = np.append(rig["cam_1"].center[:2], 0.0)
+    towards /= np.linalg.norm(towards)
+    behind, before = -0.45 * towards + [0, 0, 0.2], 0.8 * towards + [0, 0, 0.2]
+    assert found.hides(rig["cam_1"], np.array([behind, before])).tolist() == [True, False]
+    ignored = load_config("default", (*SETTINGS, "volume.occluders=ignore"))
+    run_session(session, tmp_path / "b", config=ignored, until="occluders")
+    assert stored_occluders(StageStore(tmp_path / "b" / "store.zarr"), rig).is_empty
