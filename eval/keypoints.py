@@ -44,6 +44,11 @@ SCENES = ("keypoints_gesture_test", "keypoints_pair_test")
 FITTED_ON = ("steps", "furnished")
 METHODS = ("triangulation", "keypoints")
 METHODS_WITH_VOLUMES = ("volumes", "fused")
+CAMERAS = (2, 3, 4, 7)
+CAMERAS_WITH_VOLUMES = {
+    **dict.fromkeys(("walk", "reach", "cross"), (4, 7)),
+    **dict.fromkeys(("room", *SCENES), (4,)),
+}
 # Cameras on the ring, far apart: the first two look from sides at right angles, as far as seven on a ring can.
 OF_RING = (0, 2, 4, 1, 5, 3, 6)
 EPSILON_MM = 100.0
@@ -211,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--sessions", help="default: all of the table")
-    parser.add_argument("--cameras", help="default: 2,3,4,7; with --fused 4,7")
+    parser.add_argument("--cameras", help="default: 2,3,4,7; with --fused 4, and 7 where there are so many")
     parser.add_argument("--fused", action="store_true", help="volumes without and with keypoints")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--frames", help="first:stop, for a quick look; nothing is written then")
@@ -230,20 +235,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     methods, table = (
         (METHODS_WITH_VOLUMES, "keypoints_fused.csv") if options.fused else (METHODS, "keypoints.csv")
     )
-    sessions = options.sessions or ",".join((*SESSIONS[:3], *SCENES) if options.fused else SESSIONS)
-    cameras = options.cameras or ("4,7" if options.fused else "2,3,4,7")
-    wanted = cases(
-        sessions.split(","), [int(n) for n in cameras.split(",")], methods, options.seeds, options.work
+    default = (*SESSIONS, *SCENES) if options.fused else SESSIONS
+    given = tuple(int(n) for n in options.cameras.split(",")) if options.cameras else None
+    usual = CAMERAS_WITH_VOLUMES if options.fused else {}
+    wanted = (
+        case
+        for session in (options.sessions.split(",") if options.sessions else default)
+        for case in cases(
+            [session], given or usual.get(session, CAMERAS), methods, options.seeds, options.work
+        )
     )
+    # Runs with volumes take minutes each: they may go on where an earlier call has stopped, and tell no time then.
+    fields = FIELDS[:-1] if options.fused else FIELDS
 
     def rows() -> Iterator[dict[str, Any]]:
         for case in wanted:
             row = measure(case, options.work, frames)
             print(", ".join(f"{k} {v}" for k, v in row.items()), flush=True)
-            yield row
+            yield {field: row[field] for field in fields}
 
     if frames is None:
-        write_csv(RESULTS / table, FIELDS, rows())
+        write_csv(RESULTS / table, fields, rows())
     else:
         list(rows())
 
