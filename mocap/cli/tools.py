@@ -173,11 +173,12 @@ def check(
     calibration: CalibrationOption = None,
     frames: FramesOption = None,
 ) -> None:
-    """Look at a session before running it: calibration, cameras, clips, background, and what to mend."""
+    """Look at a session before running it: calibration, cameras, clips, background, people, and what to mend."""
     from mocap.io.session import check_session, open_session
+    from mocap.pipeline.people_check import check_people
 
     opened = open_session(session, calibration=calibration, frames=parse_frames(frames))
-    findings = check_session(opened)
+    findings = [*check_session(opened), *check_people(opened)]
     for finding in findings:
         where = f" [{finding.camera}]" if finding.camera else ""
         remedy = f" Remedy: {finding.remedy}." if finding.remedy else ""

@@ -16,7 +16,14 @@ from mocap.io.calibration import write_calibration
 from mocap.io.session import Session, open_session
 from mocap.pipeline.silhouettes import hulls_of
 from mocap.progress import Progress, no_progress
-from mocap.volume.rig_refinement import CameraMove, Refinement, RefinementSettings, refine_rig, scaled
+from mocap.volume.rig_refinement import (
+    CameraMove,
+    Refinement,
+    RefinementSettings,
+    refine_rig,
+    scaled,
+    standing_height_m,
+)
 
 # Places of people further apart in time say more than neighbours; so many frames are looked at, spread evenly.
 N_FRAMES = 300
@@ -30,9 +37,6 @@ _LEAST_TANGENTS = 60
 _MOST_APART_M = 0.03
 # A stated height that the people miss by more is not theirs, or they do not walk upright.
 _MOST_SCALE = 0.15
-_TOP_SHARE = 0.95  # frames in which somebody stands less tall: knees bend in the middle of every step
-_TOP_POINTS = 4  # of a frame that agree on where its highest place is
-_LEAST_FRAMES = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +189,7 @@ def _is_moved(move: CameraMove) -> bool:
 
 def _factor(found: Refinement, height_m: float, session: Session) -> float:
     """By how much the rig has to grow so that the tallest person is as tall as stated."""
-    measured = _height_m(found)
+    measured = standing_height_m(found.points, found.frames)
     factor = height_m / measured
     if not abs(factor - 1) < _MOST_SCALE:
         raise MocapError(
@@ -195,13 +199,3 @@ def _factor(found: Refinement, height_m: float, session: Session) -> float:
             "the calibration is in another unit, say so in session.toml: calibration_units",
         )
     return factor
-
-
-def _height_m(found: Refinement) -> float:
-    """Of the tallest person, m above the floor, while he walks; NaN when it cannot be told."""
-    tops = []
-    for frame in np.unique(found.frames):
-        heights = np.sort(found.points[found.frames == frame, 2])
-        if len(heights) >= 2 * _TOP_POINTS:
-            tops.append(np.median(heights[-_TOP_POINTS:]))
-    return float(np.quantile(tops, _TOP_SHARE)) if len(tops) >= _LEAST_FRAMES else float("nan")

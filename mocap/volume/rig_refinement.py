@@ -30,6 +30,9 @@ _DONE = 1e-5  # m, rad: a step that moves no camera by more is the last
 _SCALE_HELD = 1e8  # information on the size of the rig, which its places alone decide
 _WIDEST_RAD = 1.2  # people who stand so near to the line between two cameras have no tangents of use
 _NEAREST_M = 0.3  # of a camera nobody stands
+_TOP_SHARE = 0.95  # frames in which somebody stands less tall: knees bend in the middle of every step
+_TOP_POINTS = 4  # of a frame that agree on where its highest place is
+_LEAST_FRAMES = 20
 
 
 @dataclass(frozen=True)
@@ -145,6 +148,54 @@ def refine_rig(
     left = _free_of_gauge(np.linalg.inv(information), prior, found)
     assumed = _free_of_gauge(np.diag(1 / prior), prior, found)
     return _told(rig, found, (given, before), left, assumed)
+
+
+class Meeting(NamedTuple):
+    """Lines of sight of a rig as it is.
+
+    apart_m : (N,) distance between two that should meet.  cameras : (N, 2) places in the rig.  points : (N, 3) m where
+    they are nearest.  frames : (N,).
+    """
+
+    apart_m: Array
+    cameras: NDArray[np.int64]
+    points: Array
+    frames: NDArray[np.int64]
+
+
+def meetings(rig: CameraRig, hulls: Sequence[Sequence[Array]]) -> Meeting:
+    """Where lines of sight along the tangents of all pairs of cameras meet, and by how much they do not.
+
+    hulls : as of `refine_rig`.
+    """
+    seen = [_outlines(camera, own) for camera, own in zip(rig, hulls, strict=True)]
+    pairs = _pairs(rig, seen, RefinementSettings())
+    if not pairs:
+        return Meeting(np.zeros(0), np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
+    return Meeting(
+        np.abs(np.concatenate([pair.apart for pair in pairs])),
+        np.concatenate([np.tile([pair.i, pair.j], (len(pair.frames), 1)) for pair in pairs]),
+        _meeting_points(rig, pairs),
+        np.concatenate([pair.frames for pair in pairs]),
+    )
+
+
+def standing_height_m(points: Array, frames: NDArray[np.int64]) -> float:
+    """Of the tallest person, m above the floor, while he walks; NaN when it cannot be told.
+
+    points : (N, 3) m, world, where lines of sight meet, and frames : (N,) of them.
+    """
+    tops = []
+    for frame in np.unique(frames):
+        heights = np.sort(points[frames == frame, 2])
+        if len(heights) >= 2 * _TOP_POINTS:
+            tops.append(np.median(heights[-_TOP_POINTS:]))
+    return float(np.quantile(tops, _TOP_SHARE)) if len(tops) >= _LEAST_FRAMES else float("nan")
+
+
+def _meeting_points(rig: CameraRig, pairs: Sequence[_Pair]) -> Array:
+    meet = [(rig[p.i].center + p.arm_i + rig[p.j].center + p.arm_j) / 2 for p in pairs]
+    return np.concatenate(meet) if meet else np.zeros((0, 3))
 
 
 def scaled(rig: CameraRig, factor: float) -> CameraRig:
@@ -308,12 +359,11 @@ def _told(
             apart_after_m=_median_apart(own[1]),
             n_tangents=sum(len(pair.frames) for pair in own[1]),
         )
-    meet = [(found[p.i].center + p.arm_i + found[p.j].center + p.arm_j) / 2 for p in pairs[1]]
     return Refinement(
         found,
         moves,
         _median_apart(pairs[0]),
         _median_apart(pairs[1]),
-        np.concatenate(meet) if meet else np.zeros((0, 3)),
-        np.concatenate([p.frames for p in pairs[1]]) if meet else np.zeros(0, dtype=np.int64),
+        _meeting_points(found, pairs[1]),
+        np.concatenate([p.frames for p in pairs[1]]) if pairs[1] else np.zeros(0, dtype=np.int64),
     )
