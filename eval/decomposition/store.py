@@ -10,8 +10,9 @@ import csv
 import multiprocessing
 import sys
 import time
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from pathlib import Path
 
 from eval.decomposition.cells import KEY_FIELDS, VALUE_FIELDS, Cell, RunKey, SceneKey, run_scene
@@ -77,8 +78,10 @@ def missing(cells: Iterable[Cell], path: Path = STORE) -> dict[SceneKey, list[Ru
     return todo
 
 
-def run_cells(cells: Sequence[Cell], *, n_workers: int, path: Path = STORE) -> list[Row]:
+def run_cells(cells: Sequence[Cell], *, n_workers: int, scheduler: str = "", path: Path = STORE) -> list[Row]:
     """Results of all cells in the order given; computes those that the store lacks, in n_workers processes.
+
+    scheduler : address of a dask scheduler whose workers have this checkout; they then do the work instead.
 
     A cell that failed comes back with its message as status; a process that dies loses its scene only.
     """
@@ -87,13 +90,12 @@ def run_cells(cells: Sequence[Cell], *, n_workers: int, path: Path = STORE) -> l
     n_runs = sum(map(len, todo.values()))
     if todo:
         _say(f"{len(cells)} cells, {n_runs} to compute on {len(todo)} scenes")
-    if n_workers <= 1:
+    if n_workers <= 1 and not scheduler:
         for i, (scene, runs) in enumerate(todo.items()):
             append_rows(run_scene(scene, runs), path)
             _say_progress(i + 1, len(todo), scene, begun)
     elif todo:
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(n_workers, mp_context=context) as pool:
+        with _pool(n_workers, scheduler) as pool:
             futures = {pool.submit(run_scene, scene, runs): scene for scene, runs in todo.items()}
             for i, future in enumerate(as_completed(futures)):
                 error = future.exception()
@@ -105,6 +107,19 @@ def run_cells(cells: Sequence[Cell], *, n_workers: int, path: Path = STORE) -> l
     rows = known_rows(path)
     lost = dict.fromkeys(VALUE_FIELDS, "") | {"status": "lost"}
     return [rows.get(_key(cell.key()), cell.key() | lost) for cell in cells]
+
+
+@contextmanager
+def _pool(n_workers: int, scheduler: str) -> Iterator[Executor]:
+    """Processes of this machine or the workers of a scheduler."""
+    if not scheduler:
+        with ProcessPoolExecutor(n_workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+            yield pool
+        return
+    from distributed import Client
+
+    with Client(scheduler) as client:
+        yield client.get_executor(pure=False)
 
 
 def _say_progress(done: int, n: int, scene: SceneKey, begun: float) -> None:

@@ -36,7 +36,7 @@ Pairs = Callable[[tuple[str, ...]], Iterable[tuple[str, str, float]]]
 class Seeds:
     """Which scenes and which runs on each; how many processes; everything or a sample; n_frames 0 = all.
 
-    only : names of tables; none = all.
+    only : names of tables; none = all.  scheduler : of a dask cluster that does the work; none = n_workers processes.
     """
 
     scenes: tuple[int, ...]
@@ -45,6 +45,7 @@ class Seeds:
     is_full: bool
     n_frames: int = 0
     only: tuple[str, ...] = ()
+    scheduler: str = ""
 
     def cells(self, scene: SceneKey, run: RunKey) -> list[Cell]:
         """A cell for every seed."""
@@ -56,7 +57,7 @@ class Seeds:
 
 
 def parse_seeds(description: str, argv: Sequence[str] | None = None) -> Seeds:
-    """The command line of all scripts: --quick (default), --full, --workers, --scenes, --runs."""
+    """The command line of all scripts: --quick (default), --full, --workers, --scheduler, --scenes, --runs."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -67,6 +68,7 @@ def parse_seeds(description: str, argv: Sequence[str] | None = None) -> Seeds:
     parser.add_argument("--scenes", type=int, help="scenes per cell (3, with --full 5)")
     parser.add_argument("--runs", type=int, help="runs per scene (2, with --full 4)")
     parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--scheduler", default="", help="address of a dask scheduler instead of processes")
     parser.add_argument("--only", nargs="+", default=(), help="names of tables; the others stay as they are")
     args = parser.parse_args(argv)
     scenes, runs, frames = (5, 4, 0) if args.full else (3, 2, _QUICK_FRAMES)
@@ -77,6 +79,7 @@ def parse_seeds(description: str, argv: Sequence[str] | None = None) -> Seeds:
         is_full=args.full,
         n_frames=frames,
         only=tuple(args.only),
+        scheduler=args.scheduler,
     )
 
 
@@ -127,7 +130,7 @@ def run_tables(name: str, tables: Sequence[Table], seeds: Seeds, *, store: Path 
     """
     chosen = [table for table in tables if not seeds.only or table.name in seeds.only]
     cells = [cell for table in chosen for cell in table.cells]
-    rows = dict(zip(cells, run_cells(cells, n_workers=seeds.n_workers, path=store), strict=True))
+    rows = dict(zip(cells, _computed(cells, seeds, store), strict=True))
     own = {table.name: [rows[cell] for cell in dict.fromkeys(table.cells)] for table in chosen}
     lines = {table.name: result_lines(table, own[table.name]) for table in chosen}
     claims = {table.name: claims_of(table, own[table.name]) for table in chosen}
@@ -137,6 +140,10 @@ def run_tables(name: str, tables: Sequence[Table], seeds: Seeds, *, store: Path 
     others = [cell for table in tables if table not in chosen for cell in table.cells]
     write_cells(name, [*_kept(name, others), *rows.values()], RESULTS)
     return [claim for found in claims.values() for claim in found]
+
+
+def _computed(cells: Sequence[Cell], seeds: Seeds, store: Path) -> list[Row]:
+    return run_cells(cells, n_workers=seeds.n_workers, scheduler=seeds.scheduler, path=store)
 
 
 def claims_of(table: Table, rows: Sequence[Row]) -> list[Claim]:

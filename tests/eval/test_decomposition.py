@@ -110,6 +110,19 @@ def test_processes_give_what_one_process_gives(tmp_path: Path) -> None:
     assert [r["error_px"] for r in alone] == [r["error_px"] for r in spread]
 
 
+def test_a_cluster_gives_what_one_process_gives(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")
+    cells = [Cell(SceneKey("sw", 1, 2, seed=s, n_frames=3), RunKey("sir", 10)) for s in (0, 1)]
+    alone = run_cells(cells, n_workers=1, path=tmp_path / "a.csv")
+    with distributed.Client(
+        processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None
+    ) as client:
+        address = client.scheduler_info()["address"]
+        spread = run_cells(cells, n_workers=1, scheduler=address, path=tmp_path / "b.csv")
+    assert [r["error_px"] for r in alone] == [r["error_px"] for r in spread]
+    assert all(r["status"] == "ok" for r in spread)
+
+
 def test_mean_and_spread_by_hand() -> None:
     rows = [row(0, 0, 10), row(0, 1, 14), row(1, 0, 30), row(1, 1, 34), row(1, 2, 0, status="lost")]
     g = group(rows)
