@@ -384,8 +384,9 @@ class VolumeEvidence:
         # A global likelihood says nothing of parts: its misfit is shared out.
         shared = np.broadcast_to(per_part / (layout.n_parts / len(per_part)), layout.n_parts)
         parts = body.landmark_parts
-        occupancy = self.part_scores(state).occupied[0]
-        judged = self._judged(state)
+        scores = self.part_scores(state)
+        occupancy = scores.occupied[0]
+        judged = self._judged(state) & ~self._shared_legs(scores)
         observed = judged & (occupancy[parts] >= self.tools.settings.method.evidence.observed_occupancy)
         return FrameFit(
             information=information,
@@ -403,6 +404,17 @@ class VolumeEvidence:
         if n_judges is None:
             return np.ones(len(landmarks), dtype=np.bool_)
         return n_judges(landmarks) >= self.tools.settings.method.evidence.min_judges
+
+    def _shared_legs(self, scores: PartScores) -> NDArray[np.bool_]:
+        """Landmarks of legs, (M,), that lie in each other: among furniture one of them is seen and both are taken for
+        it."""
+        body = self.tools.body
+        is_shared, legs = np.zeros(len(body.landmarks), dtype=np.bool_), legs_of(body)
+        if legs is not None and self.hull.hull.n_judges is not None:
+            own = np.concatenate([leg.landmarks for leg in legs])
+            share = self.tools.settings.method.evidence.shared_leg
+            is_shared[own] = scores.double[0][body.landmark_parts[own]] > share
+        return is_shared
 
     def part_scores(self, state: Array) -> PartScores:
         """Shares of every part's flesh of one state (D,)."""

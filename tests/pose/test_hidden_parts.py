@@ -92,6 +92,30 @@ def test_legs_that_nobody_sees_carry_the_body() -> None:
     assert pull[0] > pull[1] + 30.0
 
 
+def test_legs_that_lie_in_each_other_are_not_observed_among_furniture() -> None:
+    names = list(FLESH.body.layout.names)
+    left, right = (LANDMARKS.index(f"{side}_ankle") for side in ("left", "right"))
+
+    def together(turn: float) -> np.ndarray:
+        found = state()
+        found[names.index("left_hip_x")], found[names.index("right_hip_x")] = turn, -turn
+        return found
+
+    def gap(pose: np.ndarray) -> float:
+        ankles = landmarks_of(FLESH.body, pose[None])[0]
+        return float(np.linalg.norm(ankles[left] - ankles[right]))
+
+    pose = min((together(turn) for turn in np.linspace(-0.3, 0.3, 61)), key=gap)
+    assert gap(pose) < 0.03
+    hull = FLESH.hull(pose, margin_m=VOXEL_M)
+    for n_judges, is_seen in ((None, True), (lambda points: np.full(len(points), 5), False)):
+        observed = evidence(replace(hull, n_judges=n_judges)).fit(pose).observed
+        assert observed[[left, right]].tolist() == [is_seen, is_seen]
+        assert observed[LANDMARKS.index("head")]
+    apart = evidence(replace(FLESH.hull(state(), margin_m=VOXEL_M), n_judges=lambda p: np.full(len(p), 5)))
+    assert apart.fit(state()).observed[[left, right]].all()
+
+
 def test_unknown_voxels_are_marked_in_the_crop_and_nowhere_else() -> None:
     hull = without_shank(is_unknown=True)
     plain = pack_volume(FLESH.grid, replace(hull, unknown=hull.unknown[:0]), 1.0)
