@@ -53,7 +53,8 @@ class FrameFit:
 
     information : (D, D) inverse covariance of a refined state, 0 where there is none.  misfit : (P,) nats >= 0, how
     badly every part fits.  unexplained : share of the data that lies far from the body.  observed, judged : (M,) bool,
-    of every landmark: whether it was seen, and whether it could have been.
+    of every landmark: whether it was seen, and whether it could have been.  unseen_std : (M,) m, what landmarks may be
+    off that nothing but a usual pose has placed.
     """
 
     information: Array
@@ -62,6 +63,7 @@ class FrameFit:
     log_likelihood: float
     observed: NDArray[np.bool_]
     judged: NDArray[np.bool_]
+    unseen_std: Array | float = 0.0
 
 
 class FrameEvidence(Protocol):

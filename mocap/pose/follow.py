@@ -375,7 +375,10 @@ class OnePose:
             misfit=fit.misfit,
             unexplained=fit.unexplained,
             blind_std=0.0,
-            hidden_std=np.hypot(np.where(fit.judged, 0.0, np.hypot(blind_m, self._hidden_std)), doubt_std),
+            hidden_std=np.hypot(
+                np.where(fit.judged, 0.0, np.hypot(blind_m, self._hidden_std)),
+                np.hypot(doubt_std, fit.unseen_std),
+            ),
             observed=fit.observed & ~doubtful,
             log_likelihood=fit.log_likelihood,
             evidence=now.value,

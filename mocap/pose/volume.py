@@ -386,7 +386,8 @@ class VolumeEvidence:
         parts = body.landmark_parts
         scores = self.part_scores(state)
         occupancy = scores.occupied[0]
-        judged = self._judged(state) & ~self._shared_legs(scores)
+        unseen_std = self._unseen_std(state)
+        judged = self._judged(state) & ~self._shared_legs(scores) & (unseen_std == 0.0)
         observed = judged & (occupancy[parts] >= self.tools.settings.method.evidence.observed_occupancy)
         return FrameFit(
             information=information,
@@ -395,6 +396,7 @@ class VolumeEvidence:
             log_likelihood=float(per_part.sum()),
             observed=observed if kept_parts is None else observed & kept_parts[parts],
             judged=judged,
+            unseen_std=unseen_std,
         )
 
     def _judged(self, state: Array) -> NDArray[np.bool_]:
@@ -404,6 +406,18 @@ class VolumeEvidence:
         if n_judges is None:
             return np.ones(len(landmarks), dtype=np.bool_)
         return n_judges(landmarks) >= self.tools.settings.method.evidence.min_judges
+
+    def _unseen_std(self, state: Array) -> Array:
+        """What landmarks of legs that nothing shows may be off, (M,) m: their distance from the hip times an angle."""
+        body = self.tools.body
+        std, legs = np.zeros(len(body.landmarks)), legs_of(body)
+        if legs is not None and self.hides_legs:
+            places = landmarks_of(body, state[None])[0]
+            for side, leg in zip(("left", "right"), legs, strict=True):
+                arms = places[leg.landmarks] - places[body.landmarks.index(f"{side}_hip")]
+                angle = self.tools.settings.method.evidence.hidden_leg_std_rad
+                std[leg.landmarks] = angle * np.linalg.norm(arms, axis=1)
+        return std
 
     def _shared_legs(self, scores: PartScores) -> NDArray[np.bool_]:
         """Landmarks of legs, (M,), that lie in each other: among furniture one of them is seen and both are taken for

@@ -127,9 +127,29 @@ def test_legs_that_nothing_shows_are_in_doubt(tools: VolumeTools, truth: np.ndar
     is_low, low = grid.centers(whole.voxels)[:, 2] < hip_m, room[grid.centers(room)[:, 2] < hip_m]
     behind = PersonHull(whole.voxels[~is_low], whole.is_surface[~is_low], unknown=low)
     pose = followed(tools, lambda row: behind, truth[0], 1)[0]
-    assert pose.doubtful[LEGS].all()
-    assert not pose.doubtful[LANDMARKS.index("head")]
     assert not pose.observed[LEGS].any()
+    assert pose.observed[LANDMARKS.index("head")]
+    # Legs hang straight, and what they may be off holds both strides: 2.5 deviations are the 90 % region.
+    places = landmarks_of(tools.body, np.stack([pose.state, truth[0]]))
+    for own in (LEGS, MIRRORED):
+        off = np.linalg.norm(places[0][LEGS] - places[1][own], axis=1)
+        assert np.all(2.5 * pose.hidden_std[LEGS] > off)
+    assert np.all(pose.hidden_std[LANDMARKS.index("head")] == 0.0)
+
+
+def test_legs_before_an_unknown_side_are_in_doubt(tools: VolumeTools, truth: np.ndarray, hull_of) -> None:  # type: ignore[no-untyped-def]
+    """Feet are seen, without telling whose they are."""
+    grid, whole = tools.grid, hull_of(0)
+    room, foot_m = np.arange(grid.n_voxels, dtype=np.int32), 0.3
+    hip_m = landmarks_of(tools.body, truth[:1])[0, LANDMARKS.index("pelvis"), 2]
+    height, all_heights = grid.centers(whole.voxels)[:, 2], grid.centers(room)[:, 2]
+    is_hidden = (height < hip_m) & (height > foot_m)
+    unknown = room[(all_heights < hip_m) & (all_heights > foot_m)]
+    behind = PersonHull(whole.voxels[~is_hidden], whole.is_surface[~is_hidden], unknown=unknown)
+    pose = followed(tools, lambda row: behind, truth[0], 1)[0]
+    assert pose.doubtful[LEGS].all()
+    assert not pose.observed[LEGS].any()
+    assert not pose.doubtful[LANDMARKS.index("head")]
     # Both places lie in the 90 % region, 2.5 deviations wide.
     found = landmarks_of(tools.body, pose.state[None])[0]
     apart = np.linalg.norm(found[LEGS] - found[MIRRORED], axis=1)
