@@ -162,7 +162,11 @@ def page() -> str:
     """The whole page."""
     sections, plain = [], {}
     for name, field in Config.model_fields.items():
-        if isinstance(field.annotation, type):
+        if name == "edits":
+            sections.append(
+                "## [edits]\n\nWhat was corrected by hand, out of OUT/edits.toml: [edits.md](edits.md).\n"
+            )
+        elif isinstance(field.annotation, type):
             sections.append(section_text(name, field.annotation))
         else:
             plain[name] = field

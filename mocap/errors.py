@@ -43,7 +43,7 @@ class MocapError(Exception):
         text = self.message.rstrip(".")
         if where:
             text += f" ({', '.join(where)})"
-        text += "."
+        text += "" if text.endswith("?") else "."
         if self.remedy:
             text += f" Remedy: {self.remedy.rstrip('.')}."
         return text

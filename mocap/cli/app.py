@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli import calibrate, cluster, compare, init, live, run, sync, synth, tools
+from mocap.cli import calibrate, cluster, compare, edit, init, live, run, sync, synth, tools
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
 from mocap.portable import Stopped, find_kernel_cache, stoppable
@@ -30,6 +30,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "track": run.track,
     "pose": run.pose,
     "eval": compare.evaluate,
+    "edit": edit.edit,
     "export": tools.export,
     "check": tools.check,
     "synth": synth.synth,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mocap.cli import complete
 from mocap.errors import MocapError, did_you_mean
 
 if TYPE_CHECKING:
@@ -21,10 +22,20 @@ SessionPath = Annotated[
 RunPath = Annotated[Path, typer.Argument(metavar="OUT", help="Output folder of a run.")]
 OutPath = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
 PresetOption = Annotated[
-    str, typer.Option("--preset", help="default, realtime, reference, thesis_body, or a TOML file.")
+    str,
+    typer.Option(
+        "--preset",
+        help="default, realtime, reference, thesis_body, or a TOML file.",
+        autocompletion=complete.presets,
+    ),
 ]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", help="Change one setting: section.key=value (repeatable).")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="Change one setting: section.key=value; lists as a,b (repeatable).",
+        autocompletion=complete.settings,
+    ),
 ]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same bytes.")]
 FramesOption = Annotated[
@@ -47,11 +58,16 @@ ExpectedOption = Annotated[
     int | None,
     typer.Option("--expected-persons", min=1, help="Most persons there can be: who is lost is waited for."),
 ]
-FilterOption = Annotated[str | None, typer.Option("--filter", help="Pose filter; see --list-filters.")]
+FilterOption = Annotated[
+    str | None,
+    typer.Option("--filter", help="Pose filter; see --list-filters.", autocompletion=complete.filters),
+]
 ObservationOption = Annotated[
     str | None,
     typer.Option(
-        "--observation", help="voxels, markers, keypoints, fused or auto (by what the session has)."
+        "--observation",
+        help="voxels, markers, keypoints, fused or auto (by what the session has).",
+        autocompletion=complete.observations,
     ),
 ]
 
@@ -68,7 +84,7 @@ def parse_frames(text: str | None) -> tuple[int | None, int | None] | None:
         a, b, colon = None, None, ""
     if not colon or (a is not None and a < 0) or (b is not None and b < 0):
         raise MocapError(
-            f"cannot read the frame range {text!r}", remedy="write --frames a:b, for example 0:100"
+            f"--frames is {text!r}, no range of frames", remedy="write --frames a:b, for example 0:100"
         )
     return a, b
 
@@ -91,8 +107,13 @@ def read_config(
     expected_persons: int | None = None,
 ) -> Config:
     """The preset with --set and the options that stand for a setting."""
-    from mocap.pipeline.config import load_config
+    from mocap.pipeline.config import OBSERVATIONS, load_config
 
+    check_choice("--observation", observation, OBSERVATIONS)
+    if filter_name is not None:
+        from mocap.filters import FILTERS
+
+        check_choice("--filter", filter_name, FILTERS)
     extra = [f"pose.filter={filter_name}"] if filter_name else []
     extra += [f"observation={observation}"] if observation else []
     extra += [f"tracking.expected_persons={expected_persons}"] if expected_persons else []

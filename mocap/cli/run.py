@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mocap.cli import complete
 from mocap.cli.interrupt import how_to_go_on
 from mocap.cli.options import (
     CalibrationOption,
@@ -79,7 +80,9 @@ def demo(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for session and result.")] = Path(
         "out/demo"
     ),
-    scene: Annotated[str, typer.Option("--scene", help="Scene to synthesise.")] = "demo",
+    scene: Annotated[
+        str, typer.Option("--scene", help="Scene to synthesise.", autocompletion=complete.scenes)
+    ] = "demo",
     seed: SeedOption = 0,
     preset: PresetOption = "default",
 ) -> None:
@@ -118,7 +121,12 @@ def run(
     seed: SeedOption = 0,
     frames: FramesOption = None,
     until: Annotated[
-        str, typer.Option("--until", help="Last stage: segment, occluders, carve, track, pose, report.")
+        str,
+        typer.Option(
+            "--until",
+            help="Last stage: segment, occluders, carve, track, pose, report.",
+            autocompletion=complete.stages,
+        ),
     ] = "report",
     resume: ResumeOption = False,
     rehash: RehashOption = False,
@@ -258,7 +266,7 @@ def _run(order: Order) -> RunResult:
             progress=done.watching(show),
             command=command_line(),
         )
-    _echo_result(result)
+    echo_result(result)
     if profile is not None:
         typer.echo("\n".join(profile.lines(len(result.session.frames))))
     return result
@@ -271,7 +279,7 @@ def _kept(order: Order, done: FinishedStages) -> str:
     return f"{kept} Go on with: {order.go_on}"
 
 
-def _echo_result(result: RunResult) -> None:
+def echo_result(result: RunResult) -> None:
     """What was found, warnings, time per stage and where to look: a few lines on standard output."""
     n = len(result.session.frames)
     persons = "" if result.tracks is None else f", {_count(len(result.tracks.persons), 'person')}"

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from mocap.cli import complete
 from mocap.cli.options import check_choice
 from mocap.cli.progress import progress_bar
 
@@ -21,7 +22,9 @@ def _list_scenes(value: bool) -> None:
 
 def synth(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the session.")],
-    scene: Annotated[str, typer.Option("--scene", help="Scene name or TOML file.")] = "demo",
+    scene: Annotated[
+        str, typer.Option("--scene", help="Scene name or TOML file.", autocompletion=complete.scenes)
+    ] = "demo",
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Another seed than the scene's own.")
     ] = None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,9 +144,8 @@ class Tracks:
     def persons(self) -> tuple[int, ...]:
         return tuple(int(p) for p in np.unique(self.person))
 
-    def of(self, person: int) -> Tracks:
-        """The rows of one person."""
-        rows = self.person == person
+    def rows(self, rows: NDArray[Any]) -> Tracks:
+        """Some of the rows, as indices (K,) or as (M,) bool."""
         return Tracks(
             self.frame[rows],
             self.person[rows],
@@ -155,22 +155,15 @@ class Tracks:
             None if self.observed is None else self.observed[rows],
         )
 
+    def of(self, *persons: int) -> Tracks:
+        """The rows of one person, or of several."""
+        return self.rows(np.isin(self.person, persons))
+
     def paths(self, person: int) -> list[Tracks]:
         """The rows of one person in pieces without missing frames: one for each time that he was there."""
         own = self.of(person)
         cuts = np.flatnonzero(np.diff(own.frame) > 1) + 1
-        return [
-            Tracks(
-                own.frame[rows],
-                own.person[rows],
-                own.time_s[rows],
-                own.xyz[rows],
-                None if own.covariance is None else own.covariance[rows],
-                None if own.observed is None else own.observed[rows],
-            )
-            for rows in np.split(np.arange(len(own)), cuts)
-            if len(rows)
-        ]
+        return [own.rows(rows) for rows in np.split(np.arange(len(own)), cuts) if len(rows)]
 
     @property
     def std(self) -> Array | None:

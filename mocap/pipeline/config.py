@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, is_dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mocap.errors import MocapError, did_you_mean
 from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
 from mocap.io.formats import BoneNames, MarkerNames
+from mocap.pipeline.edits.model import Edits
 from mocap.pose.method import Method
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # of a section, of the method's settings
@@ -267,10 +268,14 @@ class OutputConfig(_Section):
     product. What is not kept cannot be reused, exported, viewed or reported again; results do not depend on it."""
 
 
+Observed = Literal["auto", "voxels", "markers", "keypoints", "fused"]
+OBSERVATIONS: tuple[str, ...] = get_args(Observed)
+
+
 class Config(_Section):
     """Everything that decides a result besides the input and the seed."""
 
-    observation: Literal["auto", "voxels", "markers", "keypoints", "fused"] = "auto"
+    observation: Observed = "auto"
     """What poses are found from; fused = voxels and keypoints together; `auto` = markers in a session that has
     detections/, keypoints in one that has nothing else, else voxels."""
     segmentation: SegmentationConfig = SegmentationConfig()
@@ -283,6 +288,7 @@ class Config(_Section):
     method: Method = Field(default_factory=Method)
     """Numbers of the pose method that the defaults fix, for experiments."""
     output: OutputConfig = OutputConfig()
+    edits: Edits = Edits()
 
     def only(self, sections: Sequence[str]) -> Config:
         """The same with some of its sections: to read another one is an AttributeError."""
@@ -324,6 +330,11 @@ def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Conf
         path = Path(f"{preset}.toml")
     else:
         path = Path(preset)
+        if not path.exists() and (meant := did_you_mean(preset, presets())):
+            raise MocapError(
+                f"--preset is {preset!r}{meant}",
+                remedy=f"use one of {', '.join(presets())} or the path of a TOML file",
+            )
         text = read_text(
             path,
             f"a preset or configuration file named {preset!r}",
@@ -390,18 +401,57 @@ def _config_error(error: ValidationError, path: Path, settings: tuple[str, ...])
         what = f"unknown key{did_you_mean(loc[-1], allowed)}"
         remedy = f"allowed here: {', '.join(allowed)}"
     elif first["type"] == "literal_error":
-        what += f", got {first['input']!r}"
+        words = str(first["ctx"]["expected"]).split("'")[1::2]
+        what += f", got {first['input']!r}{did_you_mean(str(first['input']), words)}"
         is_list = isinstance(first["loc"][-1], int)
         key = ".".join(loc[:-1] if is_list else loc)
         remedy = f"write for example --set {key}={_example(first['ctx']['expected'], 1 + is_list)}"
     keys = [setting.partition("=")[0].strip() for setting in settings]
-    is_setting = any(dotted == key or dotted.startswith(key + ".") for key in keys)
+    is_setting = any(
+        dotted == key or dotted.startswith(key + ".") or key.startswith(dotted + ".") for key in keys
+    )
     return MocapError(f"configuration: {dotted}: {what}", path=None if is_setting else path, remedy=remedy)
 
 
 def _example(expected: str, n: int) -> str:
     """The first n of the words that pydantic expects, `'bvh', 'trc' or 'c3d'`, as they are typed."""
     return ",".join(expected.split("'")[1::2][:n])
+
+
+def setting_keys() -> list[str]:
+    """Every key that --set takes, dotted."""
+    return list(_keys_under(Config, ""))
+
+
+def _keys_under(section: Any, prefix: str) -> Iterator[str]:
+    for name, kind in get_type_hints(section, include_extras=False).items():
+        is_section = isinstance(kind, type) and (issubclass(kind, BaseModel) or is_dataclass(kind))
+        if (
+            (name == "edits" and not prefix)
+            or get_origin(kind) is ClassVar
+            or name.startswith(("_", "model_"))
+        ):
+            continue
+        if is_section:
+            yield from _keys_under(kind, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}"
+
+
+def setting_words(key: str) -> list[str]:
+    """The words that a setting may be, or the items of its list; none for numbers, texts and unknown keys."""
+    parts = key.split(".")
+    return list(_words_of(get_type_hints(_section_of(parts)).get(parts[-1])))
+
+
+def _words_of(kind: Any) -> Iterator[str]:
+    if kind is bool:
+        yield from ("true", "false")
+    for part in get_args(kind):
+        if isinstance(part, str):
+            yield part
+        elif part is not Ellipsis:
+            yield from _words_of(part)
 
 
 def _section_of(parts: Sequence[str]) -> Any:

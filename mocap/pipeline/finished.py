@@ -12,16 +12,23 @@ from mocap.files import load_json
 from mocap.io._files import writing
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
+from mocap.pipeline.edits.meaning import check_reach, edited_tracks, pose_edits_of, renamings_of
+from mocap.pipeline.edits.model import Edits, PinLandmark
 from mocap.pipeline.lock import sole_use
 from mocap.pipeline.overlay_video import overlay_videos
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, record_from_json
 from mocap.pipeline.report_data import write_run_report
 from mocap.pipeline.resolution import at_useful_size
+from mocap.pipeline.run import run_session
 from mocap.pipeline.scene_frames import write_scene
+from mocap.pose.doubt import Doubt, doubts_of_all
+from mocap.products import poses as poses_product
+from mocap.products import tracks as tracks_product
 from mocap.products.one_run import check_one_run
 from mocap.products.poses import stored_poses
 from mocap.products.tracks import stored_tracks
 from mocap.progress import Progress, no_progress
+from mocap.tracking.renaming import renamed_tracks
 
 
 def open_run(out: Path, session: Path) -> RunResult:
@@ -42,7 +49,8 @@ def open_run(out: Path, session: Path) -> RunResult:
     _check_same(record, opened, out)
     opened = at_useful_size(opened, record.config, record.kind)
     store = StageStore(out / "store.zarr")
-    found = Found(opened, store, record.kind, stored_tracks(store, opened.fps), tuple(stored_poses(store)))
+    tracks = edited_tracks(store, opened, record.config.edits)
+    found = Found(opened, store, record.kind, tracks, tuple(stored_poses(store)))
     return RunResult(record, out, found)
 
 
@@ -77,6 +85,62 @@ def write_overlays(
         found = open_run(out, session).found
         check_cameras(found, cameras)
         return overlay_videos(found, out, cameras=cameras, progress=progress)
+
+
+def run_again(
+    out: Path,
+    session: Path,
+    *,
+    calibration: Path | None = None,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+) -> RunResult:
+    """The run in `out` once more, with its settings, seed and frames and the edits that lie beside it; what does not
+    depend on them is taken over."""
+    record = read_record(out)
+    return run_session(
+        session,
+        out,
+        config=record.config.model_copy(update={"edits": Edits()}),
+        seed=record.seed,
+        until=record.until,
+        resume=True,
+        frames=(record.frames.start, record.frames.stop),
+        calibration=calibration,
+        n_threads=n_threads,
+        progress=progress,
+        command=record.command,
+    )
+
+
+def check_edits(out: Path, edits: Edits) -> None:
+    """Edits against the tracks of the run in `out`, as far as that can be told without its session.
+
+    Raises MocapError for edits that cannot be.
+    """
+    record = read_record(out)
+    store = StageStore(out / "store.zarr")
+    check_one_run(out, tracks_product.PRODUCT)
+    tracks = stored_tracks(store, record.fps)
+    renamings = renamings_of(edits, tracks, record.frames)
+    pose_edits_of(edits, renamed_tracks(tracks, renamings), record.frames)
+    for pin in edits.of(PinLandmark):
+        for camera in pin.seen_px or {}:
+            if camera not in record.cameras:
+                known = ", ".join(record.cameras)
+                meant = did_you_mean(camera, record.cameras)
+                raise edits.wrong(pin, f"there is no camera {camera!r}{meant}", f"cameras are {known}")
+    if not renamings and poses_product.PRODUCT in record.product_keys:
+        for p in stored_poses(store):
+            check_reach(edits, p.person, p.body, p.frames, p.states, record.config.method.edits.reach_m)
+
+
+def doubts_in(out: Path) -> list[Doubt]:
+    """The frames of the run in `out` that are worth looking at, most doubtful first."""
+    record = read_record(out)
+    check_one_run(out, poses_product.PRODUCT)
+    poses = stored_poses(StageStore(out / "store.zarr"))
+    return doubts_of_all(poses, record.fps, record.config.method.doubt)
 
 
 def check_cameras(found: Found, names: Sequence[str] | None) -> None:

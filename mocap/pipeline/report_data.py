@@ -6,15 +6,18 @@ import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from mocap.pipeline.edits.model import EDITS_FILE
 from mocap.pipeline.figures import run_charts, run_figures, silhouette_numbers
 from mocap.pipeline.panels import frame_panels
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, printable
 from mocap.pipeline.replay import charts_of, person_summary, replay_of
 from mocap.pose.angles import angles_of
-from mocap.view import REPORT_SCORES, PersonPage, ReportData, write_report
+from mocap.pose.doubt import doubts_of_all
+from mocap.view import REPORT_SCORES, PersonPage, Place, ReportData, write_report
 
 OUTPUT_WORDS = {
     "run.json": "configuration, versions, seed, timings and warnings of this run",
+    "edits.toml": "what was edited by hand; applied whenever the result is made again",
     "tracks.csv": "where every person is in every frame, how certain that is, and whether he was seen",
     "landmarks.csv": "landmarks per person and frame, with standard deviations, metres",
     "angles.csv": "anatomical angles per person and frame, with standard deviations, degrees",
@@ -40,6 +43,7 @@ def write_run_report(result: RunResult, path: Path) -> None:
     scores = record.scores or {}
     silhouettes = silhouette_numbers(record, found)
     names = {"run.json", found.store.path.name, *(p.name for p in path.parent.iterdir())}
+    names |= {EDITS_FILE} if record.config.edits else set()
     data = ReportData(
         title=f"Motion capture: {record.session}",
         session=record.session,
@@ -68,6 +72,7 @@ def write_run_report(result: RunResult, path: Path) -> None:
         silhouettes=silhouettes,
         replay=replay_of(found) if len(session.frames) else None,
         people=tuple(_people(record, found)),
+        places=tuple(_places(record, found)),
     )
     write_report(path, data)
 
@@ -79,6 +84,13 @@ def _people(record: RunRecord, found: Found) -> Iterator[PersonPage]:
         angles = angles_of(poses, fps, record.config.method.angles)
         charts = tuple(charts_of(poses, angles, fps))
         yield PersonPage(f"person {poses.person}", charts, person_summary(poses, angles, fps))
+
+
+def _places(record: RunRecord, found: Found) -> Iterator[Place]:
+    """What is worth looking at."""
+    for doubt in doubts_of_all(found.poses, found.session.fps, record.config.method.doubt):
+        name, why = f"person {doubt.person}", "; ".join(doubt.reasons)
+        yield Place(name, doubt.frames, doubt.worst, doubt.value, why)
 
 
 def _output_words(names: Iterable[str]) -> Iterator[tuple[str, str]]:

@@ -20,6 +20,9 @@ from mocap.io.store import StageStore
 from mocap.pipeline.chains import UNTIL, WITH_VOLUMES, observation_kind, stages_until
 from mocap.pipeline.checks import check_config, check_flesh, check_out, check_truth, check_volume
 from mocap.pipeline.config import Config, load_config
+from mocap.pipeline.edits.beside import hand_words, with_edits
+from mocap.pipeline.edits.meaning import edited_tracks
+from mocap.pipeline.edits.model import Edits
 from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.lock import sole_use
@@ -46,7 +49,6 @@ from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
 from mocap.products.poses import stored_poses
-from mocap.products.tracks import stored_tracks
 from mocap.profiling import part
 from mocap.progress import Progress, no_progress
 
@@ -82,10 +84,11 @@ def run_session(
     config = config or load_config()
     if not isinstance(session, Session):
         session = open_session(session, calibration=calibration, frames=frames)
+    out = Path(out)
+    config = with_edits(config, out, session)
     kind = observation_kind(session, config)
     check_config(config, kind)
     session = at_useful_size(session, config, kind)
-    out = Path(out)
     check_out(out, session)
     if kind in WITH_VOLUMES and until != "segment":
         check_volume(session, config)
@@ -118,8 +121,13 @@ def _steps(
     # Only who resumes trusts what an earlier run remembers of the input files.
     hashes = FileHashes(job.store.path / ".inputs.json", is_trusted=resume and not rehash)
     keys = stage_keys(job.session, job.config, job.seed, kind, hashes)
+    plain = job.config.model_copy(update={"edits": Edits()})
+    unedited = stage_keys(job.session, plain, job.seed, kind, hashes)
     hashes.keep()
-    jobs = {name: replace(job, key=key) for name, key in keys.items()}
+    jobs = {
+        name: replace(job, key=key, unedited_key=unedited[name], is_resumed=resume)
+        for name, key in keys.items()
+    }
     stages = stages_until(kind, until)
     is_reused = {s.name: resume and is_done(s, job.store, keys[s.name]) for s in stages}
     walls_s: dict[str, float] = {}
@@ -137,7 +145,9 @@ def _collect(job: Job, kind: str, until: str) -> Found:
         session=job.session,
         store=job.store,
         kind=kind,
-        tracks=stored_tracks(job.store, job.session.fps) if tracks_product.PRODUCT in products else None,
+        tracks=edited_tracks(job.store, job.session, job.config.edits)
+        if tracks_product.PRODUCT in products
+        else None,
         poses=tuple(stored_poses(job.store)) if poses_product.PRODUCT in products else (),
     )
 
@@ -219,7 +229,10 @@ def _record(
         scores=scores,
         versions=versions(),
     )
-    return _warning(record, [*session.warnings, *(w for _, report in steps for w in report.warnings)])
+    by_hand = [hand_words(job.config.edits)] if job.config.edits else []
+    return _warning(
+        record, [*by_hand, *session.warnings, *(w for _, report in steps for w in report.warnings)]
+    )
 
 
 def _warning(record: RunRecord, warnings: Sequence[str]) -> RunRecord:

@@ -34,7 +34,8 @@ class Job:
     """What a stage is given to work on.
 
     key : of its products.  each : `map` over threads; the result does not depend on their number.  is_endless : frames
-    come until somebody stops, and nothing is kept for their end.
+    come until somebody stops, and nothing is kept for their end.  unedited_key : what the key would be without edits.
+    is_resumed : what an earlier run has left of a stage may be taken over.
     """
 
     session: Session
@@ -46,6 +47,8 @@ class Job:
     progress: Progress = no_progress
     each: Callable[..., Iterable[Any]] = map
     is_endless: bool = False
+    unedited_key: str = ""
+    is_resumed: bool = False
 
     def writer(self, product: str, attrs: dict[str, Any] | None = None) -> StageWriter:
         """A product of the stage, to be written; use as context manager."""

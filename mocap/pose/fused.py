@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
 from mocap.body.keypoints import place_keypoints
+from mocap.data.problem import ResidualProblem
 from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.scout import Bonus
 from mocap.likelihood.colours import new_appearance
@@ -111,16 +112,16 @@ class FusedEvidence(VolumeEvidence):
 
     @cached_property
     def _both(self) -> SumProblem:
-        """Residuals of volume and keypoints in units of the volume's, m^2 summed over the hull's points."""
-        assert self.keypoints is not None
-        return SumProblem(((1.0, self.residuals), (self._m2_per_nat, self.keypoints)))
+        return SumProblem(self.weighted_residuals)
 
     @property
-    def _m2_per_nat(self) -> float:
-        """What a nat of independent keypoints weighs among the volume's residuals."""
-        settings = self.tools.settings
-        per_nat = max(self.surface.n_points, 1) / settings.method.evidence.nats_per_m2
-        return settings.method.keypoints.fused_worth * per_nat
+    def weighted_residuals(self) -> tuple[tuple[float, ResidualProblem], ...]:
+        """Residuals of the volume and of independent keypoints."""
+        own = super().weighted_residuals
+        if self.keypoints is None:
+            return own
+        worth = self.tools.settings.method.keypoints.fused_worth
+        return (*own, (worth * self.m2_per_nat, self.keypoints))
 
     def limb_terms(self, state: Array) -> list[Bonus]:
         """What the volume and the keypoints say for other places of a limb."""

@@ -6,6 +6,7 @@ both back.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from mocap.pose.point_fit import PointFit
 Array = NDArray[np.float64]
 
 _LEG = ("knee", "ankle", "heel", "toe")
+_ARM = ("elbow", "wrist", "hand_tip")
 _HELD_STD, _FREE_STD = 1e-3, 1e3  # of columns that stay and that move, against residuals of 1 m
 _N_ITERATIONS = 12  # legs are within a centimetre of each other's places after six
 
@@ -45,9 +47,18 @@ def limbs_with_landmarks(body: Body) -> list[Limb]:
 
 def legs_of(body: Body) -> tuple[Limb, Limb] | None:
     """Left and right leg with the landmarks below the hip, in this order; None for a body that has not two of them."""
+    return _pair_of(body, _LEG)
+
+
+def arms_of(body: Body) -> tuple[Limb, Limb] | None:
+    """Left and right arm with the landmarks below the shoulder, in this order; None for a body that has not two."""
+    return _pair_of(body, _ARM)
+
+
+def _pair_of(body: Body, kinds: Sequence[str]) -> tuple[Limb, Limb] | None:
     sides = []
     for side in ("left", "right"):
-        names = [f"{side}_{name}" for name in _LEG]
+        names = [f"{side}_{name}" for name in kinds]
         landmarks = np.array([body.landmarks.index(name) for name in names if name in body.landmarks])
         own = [limb for limb in limbs_with_landmarks(body) if np.isin(landmarks, limb.landmarks).all()]
         sides += [Limb(limb.columns, landmarks) for limb in own]
@@ -62,15 +73,26 @@ def legs_exchanged(evidence: FrameEvidence, state: Array) -> Array | None:
     legs = legs_of(body)
     if legs is None or not settings.refine:
         return None
-    left, right = legs
+    return evidence.all_refined([limbs_exchanged(body, state, legs)], settings.method.legs.n_iterations)[0]
+
+
+def limbs_exchanged(body: Body, state: Array, pair: tuple[Limb, Limb]) -> Array:
+    """A state (D,) with the landmarks of each of two limbs where those of the other one are; the rest stays."""
+    left, right = pair
     places = landmarks_of(body, state[None])[0]
     targets = np.concatenate([places[right.landmarks], places[left.landmarks]])
     own = np.concatenate([left.landmarks, right.landmarks])
-    problem = PointFit(body, body.landmark_joint[own], body.landmark_offset[own], targets)
+    return moved_to(body, state, own, targets, np.concatenate([left.columns, right.columns]))
+
+
+def moved_to(
+    body: Body, state: Array, landmarks: NDArray[np.int64], places: Array, columns: NDArray[np.int64]
+) -> Array:
+    """A state (D,) whose `columns` alone have moved so that landmarks (K,) come near places (K, 3) m."""
+    problem = PointFit(body, body.landmark_joint[landmarks], body.landmark_offset[landmarks], places)
     prior_std = np.full(body.layout.n_columns, _HELD_STD)
-    prior_std[left.columns] = prior_std[right.columns] = _FREE_STD
-    exchanged = refine(problem, state, RefineSettings(prior_std, 1.0, _N_ITERATIONS))[0]
-    return evidence.all_refined([exchanged], settings.method.legs.n_iterations)[0]
+    prior_std[columns] = _FREE_STD
+    return refine(problem, state, RefineSettings(prior_std, 1.0, _N_ITERATIONS))[0]
 
 
 def in_doubt(

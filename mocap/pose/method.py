@@ -270,6 +270,45 @@ class RepairSettings(_Strict):
 
 
 @dataclass(frozen=True)
+class EditSettings(_Strict):
+    """Edits by hand: how far a pin is believed."""
+
+    pin_std_m: float = 0.01
+    """Standard deviation of a place that somebody has given: what a hand and two pictures are good for."""
+    reach_m: float = 0.15
+    """A pin that the stretched limb misses by more is a mistake: what sizes and collar bones leave open."""
+    view_share: float = 0.02
+    """Share of the picture's width by which the places in several pictures may miss each other: a body part's width."""
+
+
+@dataclass(frozen=True)
+class DoubtSettings(_Strict):
+    """Which frames are worth looking at: each number is what counts as one unit of doubt, or is usual and counts as
+    none. They order a list and decide no pose."""
+
+    usual_std_m: float = 0.03
+    """Deviation of a landmark that is nothing unusual: that of a wrist in full view."""
+    std_m: float = 0.1
+    """Beyond it, one unit: the landmark may be in another limb."""
+    unseen_share: float = 0.4
+    """Share of the landmarks that are not observed: two limbs."""
+    fast_m_s: float = 6.0
+    """What the fastest hand of a person who walks, runs or boxes moves; beyond it a landmark jumps."""
+    jump_m: float = 0.1
+    """One unit."""
+    usual_nats: float = 3.0
+    """How far the likelihood of a frame may lie below the median."""
+    fallen_nats: float = 10.0
+    """Beyond it, one unit: what a lost limb costs."""
+    least: float = 0.5
+    """Less doubt is not listed."""
+    told: float = 0.15
+    """A smaller part of the doubt is no reason that is told."""
+    together_s: float = 0.2
+    """Doubtful frames no further apart are one entry of the list."""
+
+
+@dataclass(frozen=True)
 class SizeSettings(_Strict):
     """The size of a person at which refined poses explain the volumes best."""
 
@@ -621,6 +660,8 @@ class Method(_Strict):
     legs: LegsSettings = LegsSettings()
     restart: RestartSettings = RestartSettings()
     repair: RepairSettings = RepairSettings()
+    edits: EditSettings = EditSettings()
+    doubt: DoubtSettings = DoubtSettings()
     size: SizeSettings = SizeSettings()
     smooth: SmoothSettings = SmoothSettings()
     contact: ContactSettings = ContactSettings()

@@ -15,7 +15,7 @@ from mocap.pose.evidence import PersonClip
 from mocap.pose.follow import FramePose, both_ways, follow_pose, unbroken
 from mocap.pose.limbs import in_doubt
 from mocap.pose.repair import EvidenceOf, repair_limbs
-from mocap.pose.result import PersonPoses, warnings_of_volumes
+from mocap.pose.result import FollowedPerson, PersonPoses, warnings_of_volumes
 from mocap.pose.size import fit_size
 from mocap.pose.smooth import smooth_motion
 from mocap.pose.start import (
@@ -158,7 +158,21 @@ def follow_person(
     is_size_fitted: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> PersonPoses:
-    """Poses of one person over the frames of its track.
+    """Poses of one person over the frames of its track: `follow_frames`, then `finish_person`."""
+    return finish_person(
+        follow_frames(clip, height, seed=seed, is_size_fitted=is_size_fitted, progress=progress)
+    )
+
+
+def follow_frames(
+    clip: VolumeClip,
+    height: HeightEstimate,
+    *,
+    seed: int,
+    is_size_fitted: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> FollowedPerson:
+    """One person over the frames of its track, followed and repaired.
 
     clip : the person's track and hulls, with a body of the given height in its tools.
     The first pose is looked for in a few frames of the first two seconds; the filter runs from the best of them to
@@ -178,36 +192,52 @@ def follow_person(
     if settings.repair and settings.refine:
         with part("repair"):
             _repair(clip, series)
+    trial, numbers = start.trial, settings.method.start
+    return FollowedPerson(
+        person=clip.person,
+        tools=tools,
+        height=start.height,
+        frames=clip.frames,
+        series=series,
+        is_facing_open=len(trial) > 1 and bool(abs(trial[0] - trial[1]) < numbers.clear_facing_nats),
+        n_usable=start.n_usable,
+        start_frame=start.first.frame,
+        first_pose=start.first.label,
+    )
+
+
+def finish_person(followed: FollowedPerson) -> PersonPoses:
+    """The poses of a person who was followed: smoothed where that is set, with deviations and warnings."""
+    tools, series = followed.tools, followed.series
+    settings = tools.settings
     states = series.states
     if settings.smooth_lag_frames:
         lag, method = settings.smooth_lag_frames, settings.method
-        pieces = [series.rows(piece) for piece in unbroken(clip.frames)]
+        pieces = [series.rows(piece) for piece in unbroken(followed.frames)]
         with part("smooth"):
             states = np.concatenate([smooth_motion(tools.body, p, tools.fps, lag, method) for p in pieces])
-    numbers = settings.method.start
-    trial = start.trial
     warnings = warnings_of_volumes(
-        clip.person,
-        n_blind=len(clip) - start.n_usable,
+        followed.person,
+        n_blind=len(followed.frames) - followed.n_usable,
         series=series,
-        frames=clip.frames,
-        height=start.height,
-        is_facing_open=len(trial) > 1 and abs(trial[0] - trial[1]) < numbers.clear_facing_nats,
-        crowded_share=numbers.crowded_share,
+        frames=followed.frames,
+        height=followed.height,
+        is_facing_open=followed.is_facing_open,
+        crowded_share=settings.method.start.crowded_share,
     )
     return PersonPoses(
-        person=clip.person,
+        person=followed.person,
         body=tools.body,
-        height=start.height,
-        frames=clip.frames,
+        height=followed.height,
+        frames=followed.frames,
         states=states,
         landmarks=landmarks_of(tools.body, states),
         landmark_covariance=landmark_covariances(tools.body, series, settings.method.deviation),
         observed=series.observed,
         log_likelihood=series.log_likelihood,
         ess_share=series.ess_share,
-        start_frame=start.first.frame,
-        first_pose=start.first.label,
+        start_frame=followed.start_frame,
+        first_pose=followed.first_pose,
         warnings=tuple(warnings),
         series=series,
     )

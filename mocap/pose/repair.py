@@ -40,12 +40,12 @@ def repair_limbs(
             for group in groups:
                 if min(_gap(body, current[row], current[row + step], limb) for limb in group) < furthest_m:
                     continue
-                for at, state in _carried(body, current, row, step, group, evidence_of, settings):
+                for at, state in carried(body, current, row, step, group, evidence_of, settings):
                     current[at] = found[at] = state
     return found
 
 
-def _carried(
+def carried(
     body: Body,
     states: Array,
     row: int,

@@ -12,6 +12,7 @@ from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, Motion, landmark_names
 from mocap.metrics.smoothness import smoothness_scores
 from mocap.pose.deviation import FrameSeries
+from mocap.pose.evidence import PersonTools
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,30 @@ class PersonPoses:
     first_pose: str
     warnings: tuple[str, ...] = field(default=())
     series: FrameSeries | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedPerson:
+    """What the filter has given of one person, frame by frame: nothing is smoothed yet.
+
+    tools : the person's body, and the settings with which it was followed.  frames : (T,).  is_facing_open : two first
+    poses explained the volumes almost equally well.  n_usable : frames with a usable hull.  start_frame and
+    first_pose as in `PersonPoses`.
+    """
+
+    person: int
+    tools: PersonTools
+    height: HeightEstimate
+    frames: NDArray[np.int64]
+    series: FrameSeries
+    is_facing_open: bool
+    n_usable: int
+    start_frame: int
+    first_pose: str
+
+    @property
+    def body(self) -> Body:
+        return self.tools.body
 
 
 def motion_of(poses: PersonPoses, fps: float) -> Motion:

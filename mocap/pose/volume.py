@@ -21,7 +21,7 @@ from mocap.body import (
 from mocap.body.initial import HeightEstimate
 from mocap.body.stretch import resize_body
 from mocap.data import VoxelGrid
-from mocap.data.problem import limbs_of
+from mocap.data.problem import ResidualProblem, limbs_of
 from mocap.filters.refine import RefineSettings
 from mocap.filters.scout import Bonus
 from mocap.likelihood.colours import Appearance, ColourProblem, PixelRays, new_appearance
@@ -171,7 +171,10 @@ class VolumeTools(PersonTools):
 
     def resized(self, factor: float, girth: float | None = None) -> VolumeTools:
         """The tools with a body of another size.  girth : factor of the radii, None = as the lengths."""
-        body = resize_body(self.body, factor, factor if girth is None else girth)
+        return self.with_body(resize_body(self.body, factor, factor if girth is None else girth))
+
+    def with_body(self, body: Body) -> VolumeTools:
+        """The tools with another body."""
         table = build_look_up_table(body, self.grid.voxel_size_m * self.settings.table_density)
         return replace(self, body=body, table=table)
 
@@ -248,6 +251,16 @@ class VolumeEvidence:
                 usual[columns], self.tools.settings.method.evidence.hidden_leg_std_rad
             )
         return usual
+
+    @property
+    def weighted_residuals(self) -> tuple[tuple[float, ResidualProblem], ...]:
+        """All that a refinement descends on, in units of the volume's residuals, m^2 summed over the hull's points."""
+        return ((1.0, self.residuals),)
+
+    @property
+    def m2_per_nat(self) -> float:
+        """What a nat of other evidence weighs among the volume's residuals."""
+        return max(self.surface.n_points, 1) / self.tools.settings.method.evidence.nats_per_m2
 
     @cached_property
     def coarse(self) -> VolumeEvidence:

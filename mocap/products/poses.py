@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap.body import body_toml, model_of, scale_body
 from mocap.body.initial import HeightEstimate
@@ -79,14 +80,33 @@ def stored_poses(store: StageStore) -> list[PersonPoses]:
     """Poses of all persons from the store."""
     reader = store.reader(PRODUCT)
     model = parse_body_model(reader.attrs["body_model"], Path("store.zarr"))
-    places: dict[int, list[tuple[int, int]]] = {int(name): [] for name in reader.attrs["persons"]}
-    for frame in reader.frames.tolist():
-        for i, person in enumerate(reader.read(frame, ["person"])["person"].tolist()):
-            places[person].append((frame, i))
+    places = persons_rows(reader)
     return [
         _stored_person(reader, person, own, reader.attrs["persons"][str(person)], model)
         for person, own in places.items()
     ]
+
+
+def persons_rows(reader: StageReader) -> dict[int, list[tuple[int, int]]]:
+    """Person of a product -> its frames, each with the person's row in it."""
+    places: dict[int, list[tuple[int, int]]] = {int(name): [] for name in reader.attrs["persons"]}
+    for frame in reader.frames.tolist():
+        for i, person in enumerate(reader.read(frame, ["person"])["person"].tolist()):
+            places[person].append((frame, i))
+    return places
+
+
+def columns_of(
+    reader: StageReader, places: Sequence[tuple[int, int]], names: Sequence[str]
+) -> dict[str, NDArray[Any]]:
+    """Columns of one person, name -> (T, ...).  places : as `persons_rows` gives them."""
+    columns: dict[str, NDArray[Any]] = {}
+    for k, (frame, i) in enumerate(places):
+        for name, array in reader.read(frame, list(names)).items():
+            if k == 0:  # filled in place: an hour of them is not held twice
+                columns[name] = np.empty((len(places), *array.shape[1:]), array.dtype)
+            columns[name][k] = array[i]
+    return columns
 
 
 def _stored_person(
@@ -97,12 +117,8 @@ def _stored_person(
     model: BodyModel,
 ) -> PersonPoses:
     """One person's poses.  places : of every frame, the frame and the person's row in it.  about : as stored."""
-    columns: dict[str, Any] = {}
-    for k, (frame, i) in enumerate(places):
-        for name, array in reader.read(frame, list(_COLUMNS)).items():
-            if k == 0:  # filled in place: an hour of them is not held twice
-                columns[_COLUMNS[name]] = np.empty((len(places), *array.shape[1:]), array.dtype)
-            columns[_COLUMNS[name]][k] = array[i]
+    read = columns_of(reader, places, list(_COLUMNS))
+    columns: dict[str, Any] = {_COLUMNS[name]: column for name, column in read.items()}
     columns["observed"] = columns["observed"].astype(np.bool_)
     return PersonPoses(
         person=person,

@@ -21,7 +21,7 @@ from mocap.view.plots import (
     plot_landmark_errors,
     plot_track_map,
 )
-from mocap.view.report import REPORT_SCORES, FramePanel, PersonPage, ReportData, write_report
+from mocap.view.report import REPORT_SCORES, FramePanel, PersonPage, Place, ReportData, write_report
 from mocap.view.scene import SceneFrame, write_rrd
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "Figure",
     "FramePanel",
     "PersonPage",
+    "Place",
     "ReportData",
     "SceneFrame",
     "contact_sheet",

@@ -277,7 +277,7 @@ touch-action:none;cursor:grab}
 .tiles figcaption{font-size:12.5px;color:var(--faint);overflow-wrap:anywhere}
 .transport{display:flex;flex-wrap:wrap;align-items:center;gap:8px;margin:10px 0 0}
 .transport input[type=range]{flex:1;min-width:140px;accent-color:var(--accent)}
-.transport button,button.copy{font:inherit;padding:2px 12px;border:1px solid var(--line);border-radius:6px;
+.transport button,button.copy,button.seek{font:inherit;padding:2px 12px;border:1px solid var(--line);border-radius:6px;
 background:var(--ground);color:var(--ink);cursor:pointer}
 .transport .play{min-width:5.2em}
 .transport output{min-width:15ch;font-weight:600;font-variant-numeric:tabular-nums}

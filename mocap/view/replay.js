@@ -88,6 +88,11 @@ function show(i){
  out.textContent=(data.frames[at]/data.fps).toFixed(2)+" s, frame "+data.frames[at];
  drawScene();drawPictures();cursors();
 }
+function seek(frame){
+ var best=0;
+ data.frames.forEach(function(f,i){if(Math.abs(f-frame)<Math.abs(data.frames[best]-frame)){best=i;}});
+ show(best);
+}
 function play(on){
  var button=root.querySelector("button.play");
  if(playing){clearInterval(playing);playing=null;}
@@ -126,9 +131,10 @@ scene.addEventListener("wheel",function(e){e.preventDefault();
 scene.addEventListener("dblclick",function(){view={az:-0.9,el:0.3,zoom:1.25};drawScene();});
 document.querySelectorAll("svg.chart").forEach(function(s){s.addEventListener("click",function(e){
  var box=s.getBoundingClientRect(),d=s.dataset,x=(e.clientX-box.left)/box.width*s.viewBox.baseVal.width;
- var frame=+d.first+(x-d.left)/(d.right-d.left)*(d.last-d.first),best=0;
- data.frames.forEach(function(f,i){if(Math.abs(f-frame)<Math.abs(data.frames[best]-frame)){best=i;}});
- play(false);show(best);});});
+ var frame=+d.first+(x-d.left)/(d.right-d.left)*(d.last-d.first);
+ play(false);seek(frame);});});
+document.querySelectorAll("button.seek").forEach(function(b){b.addEventListener("click",function(){
+ play(false);seek(+b.dataset.frame);document.getElementById("replay").scrollIntoView();});});
 window.addEventListener("resize",drawScene);
 root.hidden=false;root.classList.toggle("still",!!still);show(0);root.dataset.ready="yes";
 })();

@@ -81,6 +81,8 @@ MASK_NUMBERS: dict[str, tuple[str, str]] = {
         "share of the silhouette that the volume of all cameras does not reach",
     ),
 }
+# More are a matter of the command line; they would be a page of their own.
+_MOST_PLACES = 40
 _HEADLINE = ("mean_error_mm", "mmta_percent", "mmtp_mm", "mota_percent", "motp_mm", "volume_iou")
 
 
@@ -105,6 +107,17 @@ class PersonPage:
     summary: str
 
 
+@dataclass(frozen=True)
+class Place:
+    """Frames that are worth looking at.  worst : the frame to begin with.  value : how doubtful it is.  why : words."""
+
+    name: str
+    frames: range
+    worst: int
+    value: float
+    why: str
+
+
 @dataclass(frozen=True, eq=False)
 class ReportData:
     """All that a report shows. Everything but title, session and status may be left empty.
@@ -114,7 +127,8 @@ class ReportData:
     timings : stage -> (seconds in all, milliseconds per frame or None).
     silhouettes : camera -> keys of MASK_NUMBERS -> share 0..1 or None = not known.
     outputs : (file name, what it is for).  command : how to make this result again.  replay : the motion, frame by
-    frame.  people : curves and summary of every person.
+    frame.  people : curves and summary of every person.  places : what is worth looking at, most doubtful first; None =
+    nobody has looked for it.
     """
 
     title: str
@@ -139,6 +153,7 @@ class ReportData:
     silhouettes: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
     replay: Replay | None = None
     people: tuple[PersonPage, ...] = ()
+    places: tuple[Place, ...] | None = None
 
 
 def write_report(path: Path, data: ReportData, *, max_bytes: int = MAX_BYTES) -> None:
@@ -202,6 +217,7 @@ def _page(data: ReportData, panels: Sequence[FramePanel], width: int, quality: i
         PageSection("result", "Result", _result_section(data)),
         *([PageSection("replay", "Replay", replay_html(data.replay))] if data.replay else []),
         *([PageSection("people", "Persons", _people_section(data))] if data.people else []),
+        *([] if data.places is None else [PageSection("places", "Frames to look at", _places_section(data))]),
         PageSection("warnings", "Warnings", warning_list(data.warnings)),
         PageSection("files", "Files", _files_section(data)),
         PageSection("pictures", "Pictures", _pictures_section(data, panels, width, quality)),
@@ -423,6 +439,34 @@ def _files_section(data: ReportData) -> str:
     )
     table = f'<table class="plain"><tbody>{rows}</tbody></table>'
     return f'<p>These lie beside this page, in the same folder.</p><div class="scroll">{table}</div>'
+
+
+def _places_section(data: ReportData) -> str:
+    """What is worth looking at, most doubtful first."""
+    places = data.places or ()
+    if not places:
+        return faint("No frame stands out: nothing is uncertain, unseen, jumps or fits worse than usual.")
+    rows = "".join(
+        f'<tr><td class="number">{place.value:.1f}</td><th scope="row">{escaped(place.name)}</th>'
+        f"<td>{_frame_words(place.frames)}</td>"
+        f'<td><button type="button" class="seek" data-frame="{place.worst}">{place.worst}</button></td>'
+        f"<td>{escaped(place.why)}</td></tr>"
+        for place in places[:_MOST_PLACES]
+    )
+    left = len(places) - _MOST_PLACES
+    more = faint(f"And {left} more: mocap edit OUT --doubtful lists them all.") if left > 0 else ""
+    return (
+        "<p>Most doubtful first, judged without truth by the deviations, by what was not observed, by jumps and by how "
+        "well the body explains what was seen. Select a frame to see it in the replay. What is wrong can be mended "
+        "with <code>mocap edit</code> (docs/edits.md).</p>"
+        '<div class="scroll"><table><thead><tr><th scope="col" class="number">Doubt</th><th scope="col">Who</th>'
+        '<th scope="col">Frames</th><th scope="col">Worst</th><th scope="col">Why</th></tr></thead>'
+        f"<tbody>{rows}</tbody></table></div>{more}"
+    )
+
+
+def _frame_words(frames: range) -> str:
+    return f"{frames.start}" if len(frames) == 1 else f"{frames.start} to {frames.stop - 1}"
 
 
 def _versions_section(versions: Mapping[str, str]) -> str:

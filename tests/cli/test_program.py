@@ -94,7 +94,7 @@ def test_a_mistyped_stage_is_guessed(tmp_path: Path) -> None:
         (("convert-calibration", "x", "-o", "y", "--units", "km"), "--units is 'km'"),
         (
             ("run", "x", "-o", "y", "--observation", "voxel"),
-            "got 'voxel'. Remedy: write for example --set observation=auto",
+            "--observation is 'voxel'; did you mean 'voxels'? Remedy: give one of auto, voxels",
         ),
         (("run", "x", "-o", "y", "--set", "pose.n_layers=0"), "Remedy: see docs/configuration.md"),
     ],

@@ -3,7 +3,7 @@
 from mocap.pipeline.cluster.batch import find_sessions, run_batch
 from mocap.pipeline.cluster.engine import Engine, Job, Outcome, Standing, run_jobs
 from mocap.pipeline.cluster.spec import SweepCell, SweepSpec, plan_cells, read_sweep_spec
-from mocap.pipeline.cluster.sweep import SweepResult, run_sweep
+from mocap.pipeline.cluster.sweep import SweepResult, join_shards, run_sweep
 
 __all__ = [
     "Engine",
@@ -14,6 +14,7 @@ __all__ = [
     "SweepResult",
     "SweepSpec",
     "find_sessions",
+    "join_shards",
     "plan_cells",
     "read_sweep_spec",
     "run_batch",

@@ -22,7 +22,8 @@ from mocap.io._files import writing
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.chains import CHAINS, observation_kind
-from mocap.pipeline.cluster.engine import Engine, Job, Outcome, Progress, run_jobs
+from mocap.pipeline.cluster.engine import Engine, Job, Outcome, Progress, read_outcome, run_jobs
+from mocap.pipeline.cluster.shards import gather_shards
 from mocap.pipeline.cluster.spec import SweepCell, SweepSpec, plan_cells, session_names
 from mocap.pipeline.cluster.tables import Row, write_tables
 from mocap.pipeline.config import Config, config_hash, load_config
@@ -82,12 +83,14 @@ def run_sweep(
     cells: Sequence[SweepCell] | None = None,
     n_threads: int = 1,
     keep_runs: bool = False,
+    retries: int = 0,
     progress: Progress | None = None,
 ) -> SweepResult:
     """Run the cells of a spec that have no result in `out` yet, and write the tables of all.
 
     cells : from `plan_cells`, None = all of the spec.  n_threads : of each cell.  keep_runs : keep the tables and the
     store of every cell in OUT/runs/KEY; else only its scores are kept.
+    retries : how often cells that fail are tried again, each time after all others.
     A cell that fails is a row with its error. Raises MocapError for settings that no cell could have, before
     anything is run, and as `run_jobs` does.
     """
@@ -98,10 +101,23 @@ def run_sweep(
         if isinstance(chain, list):
             jobs.update({job.key: job for job in chain})
     _forget_lost_runs(jobs, out)
-    outcomes = run_jobs(
-        list(jobs.values()), out / "cells", engine=engine, code=code_hash(), progress=progress
-    )
-    files_of_presets = sorted({Path(cell.preset) for cell in cells if "/" in cell.preset})
+    for _ in range(1 + retries):
+        outcomes = run_jobs(
+            list(jobs.values()), out / "cells", engine=engine, code=code_hash(), progress=progress
+        )
+        if all(outcome.is_done for outcome in outcomes.values()):
+            break
+    return _tables(spec, out, planned, outcomes)
+
+
+def _tables(
+    spec: SweepSpec,
+    out: Path,
+    planned: Sequence[tuple[SweepCell, list[Job] | Outcome]],
+    outcomes: Mapping[str, Outcome],
+) -> SweepResult:
+    """The tables of some cells.  outcomes : by key of their last jobs."""
+    files_of_presets = sorted({Path(cell.preset) for cell, _ in planned if "/" in cell.preset})
     preset_names = dict(zip(map(str, files_of_presets), session_names(files_of_presets), strict=True))
     rows = [
         Row(_columns(cell, preset_names), chain if isinstance(chain, Outcome) else outcomes[chain[-1].key])
@@ -111,6 +127,30 @@ def run_sweep(
         out, rows, groups=("preset", *spec.varied), over=("session", "seed"), scores=spec.scores
     )
     return SweepResult(tuple(rows), tuple(files))
+
+
+def join_shards(
+    spec: SweepSpec, out: Path, *, cells: Sequence[SweepCell], keep_runs: bool = False
+) -> SweepResult:
+    """The results of all shards in one place, and the tables of the whole sweep; nothing is run.
+
+    Raises MocapError when cells have not been run by any shard.
+    """
+    gather_shards(out)
+    planned = list(plan_jobs(spec, cells, out, n_threads=1, keep_runs=keep_runs))
+    keys = {cell.index: chain[-1].key for cell, chain in planned if not isinstance(chain, Outcome)}
+    found = {key: read_outcome(out / "cells", key) for key in keys.values()}
+    missing = [index for index, key in keys.items() if found[key] is None]
+    if missing:
+        names = ", ".join(map(str, missing[:10])) + (" ..." if len(missing) > 10 else "")
+        raise MocapError(
+            f"{len(missing)} of {len(cells)} cells have not been run by any shard: {names}",
+            path=out / "shards",
+            remedy="run the shards that are missing or were stopped, with the same options, and join again",
+        )
+    return _tables(
+        spec, out, planned, {key: outcome for key, outcome in found.items() if outcome is not None}
+    )
 
 
 def plan_jobs(
@@ -208,6 +248,7 @@ def summary_of(result: Any) -> dict[str, Any]:
         "n_persons": len(result.poses),
         "n_warnings": len(result.warnings),
         "scores": plain(result.scores or {}),
+        "peak_memory_mb": result.record.peak_memory_mb,
         "timings_s": {stage: round(seconds, 3) for stage, seconds in result.timings_s.items()},
     }
 

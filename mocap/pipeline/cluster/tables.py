@@ -211,11 +211,12 @@ def _flat_row(row: Row, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _without_times(outcome: Outcome) -> dict[str, Any]:
-    return {k: v for k, v in (outcome.result or {}).items() if k != "timings_s"}
+    return {k: v for k, v in (outcome.result or {}).items() if k not in ("timings_s", "peak_memory_mb")}
 
 
 def _times(row: Row) -> dict[str, Any]:
-    """Seconds of a cell and of each stage that ran in it; shared stages ran elsewhere."""
+    """Seconds of a cell and of each stage that ran in it, and what its process needed; shared stages ran elsewhere."""
     result = row.outcome.result or {}
     stages = {f"{stage}_s": seconds for stage, seconds in result.get("timings_s", {}).items()}
-    return {**row.columns, "total_s": round(row.outcome.seconds, 3), **stages}
+    peak = {"peak_memory_mb": result.get("peak_memory_mb")}
+    return {**row.columns, "total_s": round(row.outcome.seconds, 3), **stages, **peak}

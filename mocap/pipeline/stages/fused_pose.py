@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from functools import lru_cache
 from threading import Lock
@@ -12,38 +13,30 @@ from mocap.io.store import StageStore
 from mocap.likelihood.keypoints import KeypointViews
 from mocap.likelihood.markers import marker_views
 from mocap.pipeline.config import Config
+from mocap.pipeline.edits.meaning import edited_tracks
 from mocap.pipeline.stage import ClipWork, Job, Stage
 from mocap.pipeline.stages.keypoint_pose import figure_at, keypoint_slack_m, person_views
 from mocap.pipeline.stages.keypoints import figure_views
-from mocap.pipeline.stages.pose import estimate_poses, poses_report
+from mocap.pipeline.stages.pose import poses_report, solve_poses
 from mocap.pose.fused import FusedObservation, ViewsOf
 from mocap.pose.volume import HullOf, VolumeObservation, VolumeTools
+from mocap.products import followed as followed_product
 from mocap.products import keypoints as keypoints_product
 from mocap.products import poses as poses_product
-from mocap.products.poses import store_poses
-from mocap.products.tracks import stored_tracks
 from mocap.tracking.figures import FigureSettings, figures_of_places
 
 
 def fused_pose_stage(job: Job) -> None:
     """Poses of every tracked person from its hulls and its keypoints into the store."""
-    tracks = stored_tracks(job.store, job.session.fps)
+    tracks = edited_tracks(job.store, job.session, job.config.edits)
     views_of = views_of_tracks(job.session, job.config, job.store, tracks)
 
     def both(tools: VolumeTools, hull_of: HullOf, person: int) -> VolumeObservation:
         return FusedObservation(tools, hull_of, views_of=views_of(person))
 
-    results = estimate_poses(
-        job.session,
-        job.config,
-        job.store,
-        tracks,
-        seed=job.seed,
-        n_threads=job.n_threads,
-        progress=job.progress,
-        observation_of=both,
-    )
-    store_poses(job.store, job.key, job.config.body_model("voxels"), results)
+    # Figures are shared out among all who are there.
+    everybody = hashlib.sha256(tracks.frame.tobytes() + tracks.person.tobytes()).hexdigest()
+    solve_poses(job, both, everybody)
 
 
 def views_of_tracks(
@@ -73,11 +66,11 @@ def views_of_tracks(
 FUSED_POSE = Stage(
     name="pose",
     until="pose",
-    products=(poses_product.PRODUCT,),
+    products=(followed_product.PRODUCT, poses_product.PRODUCT),
     work=ClipWork(fused_pose_stage),
     report=poses_report,
     needs=("track", "keypoints"),
-    sections=("body", "likelihood", "pose", "method"),
+    sections=("body", "likelihood", "pose", "method", "edits"),
     facts=("fps", "person_height_m"),
     is_random=lambda config: True,
 )

@@ -1,0 +1,102 @@
+"""Followed persons, product `pose-frames`: what the filter has given of every person, before edits and smoothing.
+
+Per frame, of the P persons in it, `person` (P,) int64 and the arrays of `FrameSeries`; bodies and
+what is said of whole persons in the attributes. A person is known by a key of its own: an edit of one leaves the others
+as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.body import Body, scale_body
+from mocap.body.initial import HeightEstimate
+from mocap.body.model import BodyModel
+from mocap.body.stretch import lengths_of, with_lengths
+from mocap.errors import MocapError
+from mocap.io.store import StageStore
+from mocap.pose.deviation import FrameSeries
+from mocap.pose.evidence import PersonTools
+from mocap.pose.result import FollowedPerson
+from mocap.products.poses import columns_of, persons_rows
+
+PRODUCT = "pose-frames"
+_SERIES = tuple(f.name for f in fields(FrameSeries))
+
+
+def store_followed(
+    store: StageStore, key: str, results: Sequence[FollowedPerson], keys: Mapping[int, str]
+) -> None:
+    """All persons into the store.  keys : person -> its own key."""
+    attrs = {"persons": {str(r.person): _about(r, keys[r.person]) for r in results}}
+    row_of = {r.person: {int(frame): i for i, frame in enumerate(r.frames)} for r in results}
+    with store.writer(PRODUCT, key, attrs) as out:
+        for frame in sorted(set().union(*row_of.values())):
+            present = [(r, row_of[r.person][frame]) for r in results if frame in row_of[r.person]]
+            columns = {name: np.array([getattr(r.series, name)[i] for r, i in present]) for name in _SERIES}
+            out.append(frame, person=np.array([r.person for r, _ in present], dtype=np.int64), **columns)
+
+
+def _about(followed: FollowedPerson, key: str) -> dict[str, Any]:
+    return {
+        "key": key,
+        "height_m": followed.height.height_m,
+        "height_is_measured": followed.height.is_measured,
+        "lengths": lengths_of(followed.body),
+        "outline_weight": followed.tools.settings.outline_weight,
+        "is_facing_open": followed.is_facing_open,
+        "n_usable": followed.n_usable,
+        "start_frame": followed.start_frame,
+        "first_pose": followed.first_pose,
+    }
+
+
+def stored_followed(
+    store: StageStore, keys: Mapping[int, str], model: BodyModel, tools_of: Callable[[Body], PersonTools]
+) -> dict[int, FollowedPerson]:
+    """The persons that an earlier run has left in the store under their own keys, by number; none where it is damaged.
+
+    model : the body file of all of them.  tools_of : body of a person -> what it is followed with.
+    """
+    try:
+        reader = store.reader(PRODUCT)
+        about = {
+            int(name): value
+            for name, value in reader.attrs["persons"].items()
+            if keys.get(int(name)) == value["key"]
+        }
+        places = persons_rows(reader) if about else {}
+        return {
+            person: _person(
+                person,
+                value,
+                np.array([frame for frame, _ in places[person]], dtype=np.int64),
+                FrameSeries(**columns_of(reader, places[person], _SERIES)),
+                tools_of(with_lengths(scale_body(model, value["height_m"]), value["lengths"])),
+            )
+            for person, value in about.items()
+        }
+    except MocapError:
+        return {}
+
+
+def _person(
+    person: int, about: Mapping[str, Any], frames: NDArray[np.int64], series: FrameSeries, tools: PersonTools
+) -> FollowedPerson:
+    settings = replace(tools.settings, outline_weight=about["outline_weight"])
+    return FollowedPerson(
+        person=person,
+        tools=replace(tools, settings=settings),
+        height=HeightEstimate(about["height_m"], about["height_is_measured"]),
+        frames=frames,
+        series=series,
+        is_facing_open=about["is_facing_open"],
+        n_usable=about["n_usable"],
+        start_frame=about["start_frame"],
+        first_pose=about["first_pose"],
+    )
