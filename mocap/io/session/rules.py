@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import CameraRig
-from mocap.errors import MocapError
+from mocap.errors import MocapError, did_you_mean
 from mocap.io.calibration import CalibrationFile, find_calibration, read_calibration
 from mocap.io.session import check, check_depth
 from mocap.io.session.frames import (
@@ -66,10 +66,19 @@ class Opening:
 def _folder(o: Opening) -> list[Finding]:
     """The folder is there."""
     if not o.root.is_dir():
+        near = did_you_mean(o.root.name, _folders_beside(o.root))
         raise MocapError(
-            "no such session folder", path=o.root, remedy="check the path, or make one: mocap synth"
+            f"no such session folder{near}", path=o.root, remedy="check the path, or make one: mocap synth"
         )
     return []
+
+
+def _folders_beside(path: Path) -> list[str]:
+    """Names of the folders where one was looked for; none where that cannot be listed."""
+    try:
+        return sorted(entry.name for entry in path.parent.iterdir() if entry.is_dir())
+    except OSError:
+        return []
 
 
 def _settings(o: Opening) -> list[Finding]:
