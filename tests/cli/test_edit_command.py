@@ -74,7 +74,7 @@ def test_doubtful_frames_are_listed_most_doubtful_first(out: Path) -> None:
         (["swap", 1], ["swap takes 2 persons, got 1"]),
         (["swap", 1, 9], ["no person 9"]),
         (["split", 1], ["split needs --frames"]),
-        (["bad", 1, "--frames", "5"], ["frame range '5'"]),
+        (["bad", 1, "--frames", "5"], ["--frames is '5'"]),
         (["swap", 1, 2, "--sides", "legs"], ["swap takes no --sides"]),
         (["exchange", 1, "--sides", "leg"], ["sides", "did you mean 'legs'"]),
         (["pin", 1, "--frame", 3], ["pin needs --landmark"]),
