@@ -74,7 +74,8 @@ def find_clocks(
     The clips may differ in length and rate; what session.toml says of clocks is not looked at.  max_lag_s : largest lag
     that is looked for.  reference : camera on whose clock frames are counted; None = the one that most others agree
     with.  n_threads : None = up to 2; the result does not depend on it.
-    Raises MocapError for a session that cannot be opened, and when nobody moves where two cameras see it.
+    Raises MocapError for a session that cannot be opened, when nobody moves where two cameras see it, and for a
+    reference that sees nobody move.
     Source: Sinha and Pollefeys 2004.
     """
     clips = open_clips(session, calibration=calibration)
@@ -101,6 +102,13 @@ def find_clocks(
             "no clock can be told: nobody moves where two cameras see it",
             path=clips.root,
             remedy="film somebody who walks through the room, or write [offset_s] into session.toml by hand",
+        )
+    if reference in unsure:
+        raise MocapError(
+            "its clock cannot be the reference: nobody moves where it and another camera see it",
+            path=clips.root,
+            camera=reference,
+            remedy=f"leave --reference out, or name one of {', '.join(n for n in clips.rig.names if n not in unsure)}",
         )
     return SessionClocks(found, clips.fps, times, varying)
 

@@ -108,3 +108,18 @@ def test_nobody_moves(make_session: MakeSession) -> None:
     assert done.code == 2
     assert "nobody moves" in done.err
     assert "offset_s" in done.err
+
+
+def test_a_reference_that_sees_nobody_move_is_refused(make_session: MakeSession) -> None:
+    session = make_session(LATE)
+    still = RIG.names[2]
+    files = sorted((session / "masks" / still).iterdir())
+    for file in files[1:]:
+        shutil.copyfile(files[0], file)
+    before = (session / "session.toml").read_bytes()
+    done = mocap("sync", session, "--reference", still)
+    assert done.code == 2
+    assert f"camera {still}" in done.err
+    assert "cannot be the reference" in done.err
+    assert (session / "session.toml").read_bytes() == before
+    assert mocap("sync", session, "--dry-run").code == 0

@@ -388,6 +388,21 @@ def test_a_source_of_another_size_is_refused(session: Session) -> None:
     assert "cam_0" in str(thread.error)
 
 
+def test_a_file_is_played_by_its_clock(session: Session) -> None:
+    camera, source = session.rig["cam_0"], session.image_sources["cam_0"]
+    pictures = read_clip(source)
+    said: list[Shot] = []
+    # The clip began one frame late and loses a picture in every second; the session begins at frame 1.
+    pace = Pace(FPS, rate=50.0, clip_frames=np.array([0, 0, 1, 3, 4]), first=1)
+    thread = CameraThread(camera, str(source), lambda n, s: said.append(s), pace=pace, start_s=0.0)
+    thread.start()
+    wait_until(lambda: thread.is_over)
+    assert thread.error is None
+    assert [shot.time_s for shot in said] == pytest.approx([k / FPS for k in range(4)])
+    for shot, k in zip(said, (0, 1, 3, 4), strict=True):
+        np.testing.assert_array_equal(shot.picture[:, :, ::-1], pictures[k])
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -40,10 +40,16 @@ class Shot:
 
 @dataclass(frozen=True)
 class Pace:
-    """How a file is played.  fps : of the file.  rate : of its own pace."""
+    """How a file is played.
+
+    fps : of the file.  rate : of its own pace.  clip_frames : the pictures of the file that show frames 0, 1, ... where
+    its clock is another; None = picture k shows frame k.  first : frame that all files begin with.
+    """
 
     fps: float
     rate: float = 1.0
+    clip_frames: NDArray[np.int64] | None = None
+    first: int = 0
 
 
 def is_file(source: str) -> bool:
@@ -94,10 +100,8 @@ class CameraThread:
     def _play(self) -> None:
         """A file at its own pace: each picture when it is due, however long the last one took."""
         try:
-            for i, picture in enumerate(
-                iter_clip(Path(self.source), size=self.camera.size, camera=self.camera.name)
-            ):
-                shown_s = i / self._pace.fps
+            for frame, picture in self._shown():
+                shown_s = (frame - self._pace.first) / self._pace.fps
                 due_s = self._start_s + shown_s / self._pace.rate
                 if self._is_stopped.wait(max(0.0, due_s - time.monotonic())):
                     return
@@ -105,6 +109,14 @@ class CameraThread:
         except MocapError as error:
             self.error = error
         self.is_over = True
+
+    def _shown(self) -> Iterator[tuple[int, Image]]:
+        """Frames of the session, ascending, with the picture that shows each."""
+        places = self._pace.clip_frames
+        clip = iter_clip(Path(self.source), size=self.camera.size, camera=self.camera.name)
+        for i, picture in enumerate(clip):
+            frames = [i] if places is None else np.flatnonzero(places == i).tolist()
+            yield from ((frame, picture) for frame in frames if frame >= self._pace.first)
 
     def _take(self, shot: Shot) -> None:
         height, width = shot.picture.shape[:2]

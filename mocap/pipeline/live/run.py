@@ -110,9 +110,16 @@ def run_live(
 
         # Files begin when all is ready; cameras film the empty room first.
         made = engine() if order.background_s <= 0 else None
-        pace, start_s = Pace(session.fps, order.rate), time.monotonic() + _START_S
+        start_s = time.monotonic() + _START_S
         threads = [
-            CameraThread(c, order.sources[c.name], pairing.add, pace=pace, start_s=start_s) for c in rig
+            CameraThread(
+                c,
+                order.sources[c.name],
+                pairing.add,
+                pace=_pace(session, c.name, order.rate),
+                start_s=start_s,
+            )
+            for c in rig
         ]
         for thread in threads:
             stack.callback(thread.stop)
@@ -132,6 +139,12 @@ def run_live(
                 show(status)
         status.n_failures = {t.camera.name: t.n_failures for t in threads}
     return status
+
+
+def _pace(session: Session, name: str, rate: float) -> Pace:
+    """How a camera's file is played: a session's clips by its clocks."""
+    places = session.clip_frames.get(name)
+    return Pace(session.fps, rate, places, 0 if places is None else session.frames.start)
 
 
 def _sets(
