@@ -134,7 +134,12 @@ def _run(case: Case, folder: Path, frames: tuple[int, int] | None) -> tuple[list
     kind = {"volumes": "voxels"}.get(case.method, case.method)
     config = load_config("default", ("output.formats=[]", f"observation={kind}"))
     result = run_session(
-        folder, folder.parent / f"{folder.name}_{case.method}", config=config, seed=case.seed, frames=frames
+        folder,
+        folder.parent / f"{folder.name}_{case.method}",
+        config=config,
+        seed=case.seed,
+        frames=frames,
+        resume=case.method in METHODS_WITH_VOLUMES,
     )
     fps = result.session.fps
     return [motion_of(p, fps) for p in result.poses], len(result.session.frames)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from eval.keypoints import DEV, cases, landmarks_of_points, scores
+from eval.keypoints import DEV, RESULTS, ROOT, cases, landmarks_of_points, scores
 from mocap.data import LANDMARKS, Motion
 from mocap.data.keypoints import KEYPOINTS, N_KEYPOINTS
 
@@ -57,3 +59,14 @@ def test_triangulation_needs_no_seeds(tmp_path: Path) -> None:
     wanted = list(cases(["room"], [2, 7], ["triangulation", "keypoints"], 3, tmp_path))
     assert {c.cameras for c in wanted} == {2, 5}
     assert [c.seed for c in wanted if c.method == "triangulation"] == [0, 0]
+
+
+def test_the_page_says_what_the_table_of_volumes_with_keypoints_says() -> None:
+    table: dict[tuple[str, str], dict[str, str]] = {}
+    with (RESULTS / "keypoints_fused.csv").open(encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            raw, after = float(row["mean_error_mm"]), float(row["mean_error_after_offset_mm"])
+            table.setdefault((row["session"], row["cameras"]), {})[row["method"]] = f"{raw:.1f} ({after:.1f})"
+    page = (ROOT / "docs" / "keypoints.md").read_text(encoding="utf-8").partition("**With volumes**")[2]
+    found = re.findall(r"^\| `(\w+)`[^|]*\| (\d) \| ([^|]*) \| \*\*([^|]*)\*\* \|$", page, flags=re.MULTILINE)
+    assert {(s, n): {"volumes": v, "fused": f} for s, n, v, f in found} == table
