@@ -72,8 +72,8 @@ ObservationOption = Annotated[
 ]
 
 
-def parse_frames(text: str | None) -> tuple[int | None, int | None] | None:
-    """(first, stop) of --frames a:b, None = the end of the clip. Raises MocapError for anything else."""
+def parse_frames(text: str | None, option: str = "--frames") -> tuple[int | None, int | None] | None:
+    """(first, stop) of an option a:b, None = the end of the clip. Raises MocapError for anything else."""
     if text is None:
         return None
     first, colon, last = text.partition(":")
@@ -84,7 +84,7 @@ def parse_frames(text: str | None) -> tuple[int | None, int | None] | None:
         a, b, colon = None, None, ""
     if not colon or (a is not None and a < 0) or (b is not None and b < 0):
         raise MocapError(
-            f"--frames is {text!r}, no range of frames", remedy="write --frames a:b, for example 0:100"
+            f"{option} is {text!r}, no range of frames", remedy=f"write {option} a:b, for example 0:100"
         )
     return a, b
 

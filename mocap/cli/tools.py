@@ -39,12 +39,27 @@ def view(
             "--pictures", help="Cameras whose pictures it holds, such as cam_0,cam_3, or none; else all."
         ),
     ] = None,
+    particles: Annotated[
+        str | None,
+        typer.Option("--particles", help="a:b, frames in which the particles of every layer are shown."),
+    ] = None,
 ) -> None:
     """The 3D scene of a finished run: where it is, written anew, or opened."""
     if session is not None:
         from mocap.pipeline.finished import rewrite_scene
 
-        scene = rewrite_scene(result, session, out, pictures=_cameras(pictures))
+        scene = rewrite_scene(
+            result,
+            session,
+            out,
+            pictures=_cameras(pictures),
+            particles=parse_frames(particles, "--particles"),
+        )
+    elif particles is not None:
+        raise MocapError(
+            "a scene with particles needs the session",
+            remedy="write mocap view OUT SESSION --particles 40:50",
+        )
     elif pictures is not None:
         raise MocapError(
             "a scene with other pictures needs the session",

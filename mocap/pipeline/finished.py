@@ -16,6 +16,7 @@ from mocap.pipeline.edits.meaning import check_reach, edited_tracks, pose_edits_
 from mocap.pipeline.edits.model import Edits, PinLandmark
 from mocap.pipeline.lock import sole_use
 from mocap.pipeline.overlay_video import overlay_videos
+from mocap.pipeline.particles import particle_layers
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, record_from_json
 from mocap.pipeline.report_data import write_run_report
 from mocap.pipeline.resolution import at_useful_size
@@ -63,17 +64,24 @@ def rewrite_report(out: Path, session: Path) -> Path:
 
 
 def rewrite_scene(
-    out: Path, session: Path, path: Path | None = None, *, pictures: Sequence[str] | None = None
+    out: Path,
+    session: Path,
+    path: Path | None = None,
+    *,
+    pictures: Sequence[str] | None = None,
+    particles: tuple[int | None, int | None] | None = None,
 ) -> Path:
     """The Rerun scene of a finished run, into OUT/scene.rrd or another file; gives the file.
 
-    pictures : cameras whose pictures it holds, None = all.
+    pictures : cameras whose pictures it holds, None = all.  particles : (start, stop), frames in which the particles of
+    every layer are shown; None = in none.
     """
     target = out / "scene.rrd" if path is None else path
     with sole_use(out, f"mocap view {out}"):
-        found = open_run(out, session).found
-        check_cameras(found, pictures)
-        write_scene(found, target, pictures=pictures)
+        run = open_run(out, session)
+        check_cameras(run.found, pictures)
+        layers_of = None if particles is None else particle_layers(run, particles)
+        write_scene(run.found, target, pictures=pictures, layers_of=layers_of)
     return target
 
 

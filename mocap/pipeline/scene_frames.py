@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from mocap.view import SceneFrame
 
 Array = NDArray[np.float64]
+# frame -> person -> points (K, 3) m of every layer.
+LayersOf = Callable[[int], Mapping[int, Sequence[Array]]]
 Bounds = tuple[list[float], list[float]]
 
 _BOUNDS_STEP_M = 0.1
@@ -52,10 +54,17 @@ def rows_at(poses: Sequence[PersonPoses], frame: int) -> list[tuple[PersonPoses,
     return rows
 
 
-def write_scene(found: Found, path: Path, *, pictures: Sequence[str] | None = None) -> None:
+def write_scene(
+    found: Found,
+    path: Path,
+    *,
+    pictures: Sequence[str] | None = None,
+    layers_of: LayersOf | None = None,
+) -> None:
     """scene.rrd: cameras, images, coloured voxels and bodies on a time line.
 
-    pictures : cameras whose pictures are kept, None = all.
+    pictures : cameras whose pictures are kept, None = all.  layers_of : frame -> the filter's particles, as
+    `SceneFrame` has them; None = they are not shown.
     """
     from mocap.view import write_rrd
 
@@ -63,7 +72,7 @@ def write_scene(found: Found, path: Path, *, pictures: Sequence[str] | None = No
     write_rrd(
         path,
         session.rig,
-        scene_frames(found, pictures),
+        scene_frames(found, pictures, layers_of or (lambda frame: {})),
         tracks=found.tracks,
         bounds_m=room_bounds(found),
         n_frames=len(shown_frames(session.frames)),
@@ -75,7 +84,9 @@ def shown_frames(frames: range) -> range:
     return frames[:: -(-len(frames) // _MOST_FRAMES) or 1]
 
 
-def scene_frames(found: Found, kept: Sequence[str] | None = None) -> Iterator[SceneFrame]:
+def scene_frames(
+    found: Found, kept: Sequence[str] | None = None, layers_of: LayersOf = lambda frame: {}
+) -> Iterator[SceneFrame]:
     """The frames that are shown, in order, with pictures, hull and bodies; every product is opened once.
 
     kept : cameras whose pictures are shown, None = all; the clips of others are not read.
@@ -101,6 +112,7 @@ def scene_frames(found: Found, kept: Sequence[str] | None = None) -> Iterator[Sc
                 hull=None if hull_of is None else hull_of(frame),
                 persons={p.person: p.landmarks[i] for p, i in rows},
                 parts={p.person: body_parts(p.body, p.states[i]) for p, i in rows},
+                layers=layers_of(frame),
             )
 
 

@@ -38,6 +38,8 @@ _MAX_VOXELS = 20_000
 _DEFAULT_FRAMES = 300
 _THREADS = 2  # that code pictures
 _IMAGE_PLANE_M = 0.45
+_FIRST_LAYER, _LAST_LAYER = (70, 120, 230), (240, 120, 30)
+_PARTICLE_M = 0.006
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +48,7 @@ class SceneFrame:
 
     images : camera name -> (H, W, 3) uint8 RGB as filmed, or None.  hull : world frame, or None.
     persons : person -> landmarks (M, 3) m, world, NaN = unknown.  parts : person -> fitted body parts.
+    layers : person -> points (K, 3) m of the particles of every layer of the filter, first to last.
     """
 
     frame: int
@@ -54,6 +57,7 @@ class SceneFrame:
     hull: Hull | None = None
     persons: Mapping[int, Array] = field(default_factory=dict)
     parts: Mapping[int, Sequence[BodyPart]] = field(default_factory=dict)
+    layers: Mapping[int, Sequence[Array]] = field(default_factory=dict)
 
 
 def write_rrd(
@@ -91,11 +95,13 @@ def write_rrd(
         try:
             _log_static(rr, stream, rig, lenses, tracks, bounds_m)
             shown: set[int] = set()
+            has_layers = False
             for item in frames:
                 stream.set_time(TIMELINE, sequence=int(item.frame))
                 stream.set_time("time", duration=float(item.time_s))
                 _log_persons(rr, stream, item, shown)
                 budget.spend_on_persons(len(item.persons))
+                has_layers = _log_layers(rr, stream, item, has_layers)
                 _log_hull(rr, stream, item.hull, budget)
                 _log_images(rr, stream, item, lenses, budget)
             part.write_bytes(sink.read() or b"")
@@ -298,6 +304,21 @@ def _log_landmarks(rr: Any, stream: Any, person: int, points: Array) -> None:
         top = points[known][np.argmax(points[known, 2])] + (0.0, 0.0, 0.15)
         label = rr.Points3D([top], labels=[f"person {person}"], colors=[person_colour(person)], radii=[0.01])
         stream.log(f"{base}/label", label)
+
+
+def _log_layers(rr: Any, stream: Any, item: SceneFrame, has_layers: bool) -> bool:
+    """The particles of every layer as points of their own, the later the warmer; gives whether there are any."""
+    if has_layers:
+        stream.log("world/particles", rr.Clear(recursive=True))
+    for person, layers in item.layers.items():
+        for k, points in enumerate(layers):
+            share = k / max(len(layers) - 1, 1)
+            colour = np.round((1 - share) * np.array(_FIRST_LAYER) + share * np.array(_LAST_LAYER)).astype(
+                int
+            )
+            cloud = rr.Points3D(points, colors=[colour.tolist()], radii=[_PARTICLE_M])
+            stream.log(f"world/particles/person_{person}/layer_{k + 1:02d}", cloud)
+    return bool(item.layers)
 
 
 def _capsules(rr: Any, parts: Sequence[BodyPart]) -> Any:
