@@ -423,8 +423,9 @@ class VolumeEvidence:
     def _unseen_std(self, state: Array) -> Array:
         """What landmarks of legs that nothing shows may be off, (M,) m: their distance from the hip times an angle."""
         body = self.tools.body
-        std, legs = np.zeros(len(body.landmarks)), legs_of(body)
-        if legs is not None and self.hides_legs:
+        std = np.zeros(len(body.landmarks))
+        legs = legs_of(body) if self.hides_legs else None
+        if legs is not None:
             places = landmarks_of(body, state[None])[0]
             for side, leg in zip(("left", "right"), legs, strict=True):
                 arms = places[leg.landmarks] - places[body.landmarks.index(f"{side}_hip")]
@@ -436,8 +437,9 @@ class VolumeEvidence:
         """Landmarks of legs, (M,), that lie in each other: among furniture one of them is seen and both are taken for
         it."""
         body = self.tools.body
-        is_shared, legs = np.zeros(len(body.landmarks), dtype=np.bool_), legs_of(body)
-        if legs is not None and self.hull.hull.n_judges is not None:
+        is_shared = np.zeros(len(body.landmarks), dtype=np.bool_)
+        legs = None if self.hull.hull.n_judges is None else legs_of(body)
+        if legs is not None:
             own = np.concatenate([leg.landmarks for leg in legs])
             share = self.tools.settings.method.evidence.shared_leg
             is_shared[own] = scores.double[0][body.landmark_parts[own]] > share
