@@ -62,7 +62,7 @@ def draw(
     """The map, and slices of the three volumes (N, 3) m from above."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 3, figsize=(9.5, 3.2), layout="constrained")
+    figure, axes = plt.subplots(1, 3, figsize=(9.5, 3.7), layout="constrained")
     axes[0].imshow(np.where(depth_m > 0, depth_m, np.nan), cmap="viridis_r", vmin=2, vmax=6)
     axes[0].set(xticks=[], yticks=[], title="depth; white: no reading")
     middle = body.mean(axis=0)
