@@ -63,7 +63,9 @@ def test_the_record_is_what_run_json_holds(finished: Path) -> None:
     about = json.loads((finished / "run.json").read_text())
     assert record_to_json(read_record(finished)) == about
     assert about["kind"] == "voxels"
-    assert about["product_keys"].keys() == {"segment", "occluders", "carve", "track", "track-owners", "pose"}
+    assert about["product_keys"].keys() == {
+        *("segment", "occluders", "carve", "track", "track-owners", "pose-frames", "pose")
+    }
 
 
 def test_rehash_distrusts_what_is_remembered_of_files(
@@ -256,7 +258,7 @@ def test_products_of_a_run_before_are_not_exported_after_a_shorter_one(
 
 @pytest.mark.parametrize(
     ("keep", "kept"),
-    [("masks", {"segment", "occluders", "track", "pose"}), ("nothing", set())],
+    [("masks", {"segment", "occluders", "track", "pose-frames", "pose"}), ("nothing", set())],
 )
 def test_results_do_not_depend_on_what_is_kept(
     session: Path, finished: Path, tmp_path: Path, keep: str, kept: set[str]

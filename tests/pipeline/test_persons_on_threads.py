@@ -33,7 +33,9 @@ def test_two_persons_on_two_threads_are_those_of_one(
         person=np.repeat([1, 2], len(tracks)),
     )
     hulls_of = pose.hulls_of_person
-    monkeypatch.setattr(pose, "hulls_of_person", lambda session, store, person: hulls_of(session, store, 1))
+    monkeypatch.setattr(
+        pose, "hulls_of_person", lambda session, store, person, names: hulls_of(session, store, 1)
+    )
     said: list[int] = []
 
     def poses(n_threads: int) -> list[PersonPoses]:

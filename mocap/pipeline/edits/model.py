@@ -7,19 +7,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 
 from mocap.data import ALL_LANDMARKS
 from mocap.errors import MocapError, did_you_mean
 from mocap.files import SETTINGS_LIMIT_BYTES, parse_toml, read_text
 from mocap.io._files import atomic_text
-from mocap.tracking.renaming import DELETED
 
 EDITS_FILE = "edits.toml"
 _FRAMES = re.compile(r"\s*(\d*)\s*:\s*(\d*)\s*")
 _HEADER = re.compile(r"^[ \t]*\[\[\s*edit\s*\]\]", re.MULTILINE)
-# Numbers of persons are stored in 16 bits, the last of which is taken.
-Person = Annotated[int, Field(ge=1, lt=DELETED)]
+# Numbers of persons are stored in 16 bits; the last one is `renaming.DELETED`, which the stages before need not know.
+Person = Annotated[int, Field(ge=1, lt=2**16 - 1)]
 
 
 class _Edit(BaseModel):
@@ -120,8 +119,13 @@ class Edits(BaseModel):
 
     edit: tuple[Edit, ...] = ()
     """In the order in which they are made."""
-    file: str = Field(default=EDITS_FILE, exclude=True, repr=False)
-    """Where they were read from, for messages; no part of what decides a result."""
+    # No part of what decides a result.
+    _file: str = PrivateAttr(default=EDITS_FILE)
+
+    @property
+    def file(self) -> str:
+        """Where they were read from, for messages."""
+        return self._file
 
     def __bool__(self) -> bool:
         return bool(self.edit)
@@ -167,9 +171,11 @@ def parse_edits(text: str, path: Path) -> Edits:
         if isinstance(table, dict):
             table["line"] = line
     try:
-        return Edits.model_validate({**values, "file": str(path)})
+        edits = Edits.model_validate(values)
     except ValidationError as error:
         raise _invalid(error, path, tables, lines) from error
+    edits._file = str(path)
+    return edits
 
 
 def _invalid(error: ValidationError, path: Path, tables: Sequence[Any], lines: Sequence[int]) -> MocapError:
