@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from mocap.arrays import Array, Image, Mask
-from mocap.data import Camera, CameraRig
+from mocap.data import Camera
 from mocap.foreground import Segmenter, learn_background, median_background
 from mocap.io.session import Session
-from mocap.io.session.reading import pictures_of
-from mocap.io.video import MaskReader, iter_clip
+from mocap.io.session.reading import masks_of, pictures_of
+from mocap.io.video import iter_clip
 from mocap.progress import Progress, no_progress
 from mocap.threads import in_parallel
 from mocap.volume.synchrony import silhouette_hull
@@ -56,8 +56,7 @@ def hulls_of(
 def _masks(session: Session, camera: Camera, frames: range) -> Iterator[Mask]:
     """Of one camera in some frames of the session."""
     if session.mask_sources:
-        rig = CameraRig((camera,))
-        with MaskReader(session.mask_sources, rig, frames, clip_frames=session.clip_frames) as reader:
+        with masks_of(session, frames, cameras=(camera.name,)) as reader:
             yield from (masks[0] for _, masks in reader)
         return
 

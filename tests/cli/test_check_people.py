@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from small_session import mocap
-from test_refine import RIG, write_session
+from test_refine_cameras import RIG, write_session
 
 from mocap.data import CameraRig
 from mocap.io.calibration import write_calibration

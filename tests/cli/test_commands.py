@@ -168,16 +168,16 @@ def test_presets_are_valid_and_have_a_configuration_file() -> None:
         tomllib.loads((ROOT / "mocap" / "presets" / f"{preset}.toml").read_text())
 
 
-def readme_example() -> str:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    return re.findall(r"^```python\n(.*?)^```", readme, flags=re.S | re.M)[0]
+def library_example() -> str:
+    page = (ROOT / "docs" / "library.md").read_text(encoding="utf-8")
+    return re.findall(r"^```python\n(.*?)^```", page, flags=re.S | re.M)[0]
 
 
-def test_readme_example_runs(session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_library_example_runs(session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As it stands, on the small session in the place of the demo's."""
-    code = readme_example()
+    code = library_example()
     assert "out/demo/session" in code
     (tmp_path / "out" / "demo").mkdir(parents=True)
     (tmp_path / "out" / "demo" / "session").symlink_to(session)
     monkeypatch.chdir(tmp_path)
-    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    exec(compile(code, "library.md", "exec"), {"__name__": "__main__"})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import json
 import os
 import signal
@@ -176,6 +177,25 @@ def test_no_scheduler_at_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyP
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
         with pytest.raises(MocapError, match="no dask scheduler answers at"):
             run(jobs(1), tmp_path, Engine(scheduler=address))
+
+
+def test_a_client_that_failed_is_not_left_to_the_loop_of_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Collected there, it waits for a lock of the one who waits for the loop: the next command would hang."""
+    pytest.importorskip("distributed", reason="needs the extra cluster")
+    from distributed import utils
+
+    monkeypatch.setattr(engine, "_CONNECT_S", 0.5)
+    usual = utils.get_loop_factory
+    monkeypatch.setattr(utils, "get_loop_factory", lambda: (gc.collect(), usual())[1])
+    gc.disable()
+    try:
+        for address in ("nonsense://x", "tcp://127.0.0.1:9"):
+            with pytest.raises(MocapError, match="no dask scheduler answers at"):
+                run(jobs(1), tmp_path, Engine(scheduler=address))
+    finally:
+        gc.enable()
 
 
 def test_without_dask_the_remedy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

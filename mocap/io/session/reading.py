@@ -24,9 +24,13 @@ def pictures_of(
     )
 
 
-def masks_of(session: Session) -> MaskReader:
-    """The masks of all cameras, frame by frame."""
-    return MaskReader(session.mask_sources, session.rig, session.frames, clip_frames=session.clip_frames)
+def masks_of(
+    session: Session, frames: Sequence[int] | None = None, cameras: Sequence[str] | None = None
+) -> MaskReader:
+    """The masks of all cameras, frame by frame; of all frames and cameras, or of some."""
+    rig = session.rig if cameras is None else session.rig.subset(cameras)
+    chosen = session.frames if frames is None else frames
+    return MaskReader(session.mask_sources, rig, chosen, clip_frames=session.clip_frames)
 
 
 def depth_of(session: Session, frames: Sequence[int] | None = None) -> DepthReader:

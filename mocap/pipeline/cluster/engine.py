@@ -7,6 +7,7 @@ stop the others. Which worker runs a job, and how many there are, changes nothin
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import os
@@ -300,6 +301,8 @@ def _connect(engine: Engine, n_jobs: int, stack: ExitStack) -> Any:
             "cluster",
             otherwise="use --workers 0 to run in this process, one cell at a time",
         ) from error
+    # An earlier client that is collected in the thread of a new one waits there for the lock that the new one holds.
+    gc.collect()
     # Connections that end while a cluster closes are no news for the user.
     for name in ("distributed", "distributed.comm", "distributed.client", "distributed.nanny"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
