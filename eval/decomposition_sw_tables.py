@@ -55,13 +55,21 @@ def several_objects(seeds: Seeds) -> Table:
                 cells += seeds.cells(scene, RunKey(name, n, is_split=is_split))
     printed: Printed = {(str(m), method): (float(e), _NAN) for (m, method), e in SW_TABLE_3.items()}
 
-    def pairs(cell: tuple[str, ...]) -> list[tuple[str, str, float]]:
-        m = int(cell[0])
-        orders = [("1 SBPS", other) for other in ("1 PS", "M PS", "M PS/100", "M SBPS", "M SBPS/100")]
-        orders += [("M PS", "1 PS"), ("M SBPS", "M PS"), ("M SBPS/100", "M PS/100")]
-        return [(a, b, SW_TABLE_3[m, a] / SW_TABLE_3[m, b]) for a, b in orders]
+    return Table(
+        "SW Table 3",
+        cells,
+        ("n_objects",),
+        lambda cell: orders_of_several(int(cell[0])),
+        printed,
+        name_of=method_of_several,
+    )
 
-    return Table("SW Table 3", cells, ("n_objects",), pairs, printed, name_of=method_of_several)
+
+def orders_of_several(n_objects: int) -> list[tuple[str, str, float]]:
+    """What SW 6.6 says of one filter and of M, with the printed ratios."""
+    orders = [("1 SBPS", other) for other in ("1 PS", "M PS", "M PS/100", "M SBPS", "M SBPS/100")]
+    orders += [("M PS", "1 PS"), ("M SBPS", "M PS"), ("M SBPS/100", "M PS/100")]
+    return [(a, b, SW_TABLE_3[n_objects, a] / SW_TABLE_3[n_objects, b]) for a, b in orders]
 
 
 def method_of_several(row: Row) -> str:

@@ -32,7 +32,7 @@ def read_rows(path: Path = STORE) -> dict[tuple[str, ...], Row]:
         return {}
     with path.open(newline="", encoding="utf-8") as stream:
         rows = [row for row in csv.DictReader(stream) if row.get("status")]
-    return {_key(row): row for row in rows}
+    return {cell_key(row): row for row in rows}
 
 
 def known_rows(path: Path = STORE, results: Path = RESULTS) -> dict[tuple[str, ...], Row]:
@@ -45,11 +45,11 @@ def known_rows(path: Path = STORE, results: Path = RESULTS) -> dict[tuple[str, .
 
 def write_cells(name: str, rows: Iterable[Row], results: Path = RESULTS) -> None:
     """The cells of a finished evaluation beside its table, each once; failed ones are left out."""
-    own = {_key(row): {f: row[f] for f in CELL_FIELDS} for row in rows if row["status"] == "ok"}
+    own = {cell_key(row): {f: row[f] for f in CELL_FIELDS} for row in rows if row["status"] == "ok"}
     write_csv(results / f"decomposition_{name}_cells.csv", CELL_FIELDS, [own[key] for key in sorted(own)])
 
 
-def _key(row: Row) -> tuple[str, ...]:
+def cell_key(row: Row) -> tuple[str, ...]:
     return tuple(row[field] for field in KEY_FIELDS)
 
 
@@ -72,7 +72,7 @@ def missing(cells: Iterable[Cell], path: Path = STORE) -> dict[SceneKey, list[Ru
     rows = known_rows(path)
     todo: dict[SceneKey, list[RunKey]] = {}
     for cell in dict.fromkeys(cells):
-        row = rows.get(_key(cell.key()))
+        row = rows.get(cell_key(cell.key()))
         if row is None or row["status"] != "ok":
             todo.setdefault(cell.scene, []).append(cell.run)
     return todo
@@ -106,7 +106,7 @@ def run_cells(cells: Sequence[Cell], *, n_workers: int, scheduler: str = "", pat
                 _say_progress(i + 1, len(todo), futures[future], begun)
     rows = known_rows(path)
     lost = dict.fromkeys(VALUE_FIELDS, "") | {"status": "lost"}
-    return [rows.get(_key(cell.key()), cell.key() | lost) for cell in cells]
+    return [rows.get(cell_key(cell.key()), cell.key() | lost) for cell in cells]
 
 
 @contextmanager

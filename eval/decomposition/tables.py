@@ -47,6 +47,10 @@ class Seeds:
     only: tuple[str, ...] = ()
     scheduler: str = ""
 
+    def from_scene(self, first: int) -> Seeds:
+        """As many scenes, counted from another one."""
+        return replace(self, scenes=tuple(range(first, first + len(self.scenes))))
+
     def cells(self, scene: SceneKey, run: RunKey) -> list[Cell]:
         """A cell for every seed."""
         return [

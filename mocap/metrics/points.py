@@ -250,7 +250,7 @@ def epsilon_lilliefors(errors_mm: Array, min_fraction: float = MIN_FRACTION) -> 
     errors_mm : any shape; NaN are left out. Searched over the observed errors (at most 256, evenly spaced in
     rank) above the smallest `min_fraction` of the data, because on tiny subsets the statistic degenerates.
     None with fewer than 20 errors or when they are all equal.
-    Source: CF Eq. 5.7-5.8, with the restriction of reading guide 6.
+    Source: CF Eq. 5.7-5.8. Departs from CF Eq. 5.8 in the least share of the data (reading guide 6).
     """
     return _best_epsilon(errors_mm, min_fraction, _lilliefors_statistic)
 

@@ -442,6 +442,69 @@ def test_the_committed_tables_are_those_of_the_committed_cells() -> None:
     assert {"XN Table 6.1", "XN Figure 5-9", "XN Figure 5-12", "Own worlds, SW and XN 4-5"} <= set(checked)
 
 
+def test_motion_apart_is_of_the_committed_cells() -> None:
+    """Over all frames the orders are those of the tables; over either kind they are computed again for SW."""
+    from eval.decomposition.tables import claim_line, read_csv
+    from eval.decomposition_motion import MOTIONS, SCRIPTS, claims_in, committed
+
+    lines = read_csv(store.RESULTS / "decomposition_motion.csv")
+    reported = [
+        claim
+        for name in SCRIPTS
+        for claim in read_csv(store.RESULTS / f"decomposition_{name}_ranking.csv")
+        if claim["verdict"] != "none"
+    ]
+    kept = {motion: [dict(line) for line in lines if line["motion"] == motion] for motion in MOTIONS}
+    assert [line | {"motion": ""} for line in kept["all"]] == [claim | {"motion": ""} for claim in reported]
+    own = committed("sw")
+    for motion in MOTIONS:
+        again = [claim_line(claim) for table, rows in own for claim in claims_in(table, rows, motion)]
+        assert [{"motion": motion, **claim} for claim in again] == kept[motion][: len(again)]
+
+
+def test_motion_apart_uses_the_error_of_its_frames() -> None:
+    from eval.decomposition_motion import claims_in
+
+    table = Table("t", [], ("n_evaluations",), lambda cell: [("SBPS", "PS", 0.5)], {})
+    rows = [
+        Cell(SceneKey("sw", 4, 3), RunKey(name, 50)).key()
+        | dict.fromkeys(VALUE_FIELDS, "")
+        | {"error_px": whole, "error_weak_px": weak, "error_strong_px": strong, "status": "ok"}
+        for name, whole, weak, strong in (("sbps", "3", "1", "8"), ("ps", "4", "2", "4"))
+    ]
+    ratios = [claims_in(table, rows, motion)[0].ours.ratio for motion in ("all", "weak", "strong")]
+    assert ratios == [0.75, 0.5, 2.0]
+
+
+def test_factors_of_several_objects_change_one_thing_and_are_of_their_cells() -> None:
+    from eval.decomposition.tables import claim_line, claims_of, read_csv, result_lines
+    from eval.decomposition_several_objects import FACTORS, Factor, table_of
+
+    same = Factor("")
+    for factor in FACTORS:
+        changed = [
+            f
+            for f in ("world", "n_objects", "n_particles", "first_scene")
+            if getattr(factor, f) != getattr(same, f)
+        ]
+        assert len(changed) == 1, factor
+    cells = read_rows(store.RESULTS / "decomposition_several_objects_cells.csv")
+    lines = read_csv(store.RESULTS / "decomposition_several_objects.csv")
+    orders = read_csv(store.RESULTS / "decomposition_several_objects_ranking.csv")
+    seeds = Seeds(tuple(range(5)), tuple(range(int(lines[0]["runs"]) // 5)), 1, True, n_frames=150)
+    timed = ("resampling_ms", "swapping_ms", "step_ms")
+    for factor in FACTORS:
+        table = table_of(factor, seeds)
+        rows = [cells[store.cell_key(cell.key())] for cell in dict.fromkeys(table.cells)]
+        kept = [line for line in lines if line["table"] == factor.name]
+        for ours, theirs in zip(result_lines(table, rows), kept, strict=True):
+            assert {k: v for k, v in ours.items() if k not in timed} == {
+                k: v for k, v in theirs.items() if k not in timed
+            }
+        claims = [claim_line(claim) for claim in claims_of(table, rows)]
+        assert claims == [order for order in orders if order["table"] == factor.name]
+
+
 def test_the_committed_page_is_that_of_the_committed_files() -> None:
     import eval.decomposition_page as pages
 

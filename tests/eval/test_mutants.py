@@ -1,11 +1,12 @@
 """The list of mutants fits the code it mutates. Whether tests notice them is tried by `make mutants`."""
 
+import csv
 import json
 from pathlib import Path
 
 import pytest
 
-from eval.mutants.__main__ import kept_of
+from eval.mutants.__main__ import RESULTS, WANTED_SHARE, kept_of
 from eval.mutants.registry import Mutant, load_mutants
 from eval.mutants.trial import checkout_digest, try_all
 
@@ -45,6 +46,15 @@ def test_what_cannot_be_planted_is_said(tmp_path: Path) -> None:
         (Mutant("untested", "a.py", "y = 2", "y = 3", ("tests/test_b.py",)), "test_b.py does not exist"),
     ):
         assert message in "\n".join(bad.problems(tmp_path))
+
+
+def test_the_committed_run_was_whole_and_good_enough() -> None:
+    with RESULTS.open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["noticed"] for row in rows} <= {"yes", "no"}
+    noticed = [row["mutant"] for row in rows if row["noticed"] == "yes"]
+    assert len(noticed) >= WANTED_SHARE * len(rows)
+    assert len(rows) >= 0.9 * len(load_mutants())  # mutants may have come since
 
 
 def test_names_are_unique(tmp_path: Path) -> None:

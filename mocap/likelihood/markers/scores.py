@@ -99,7 +99,7 @@ class MarkerProblem:
     def scores(self, states: Array, rows: NDArray[np.integer] | None = None) -> Array:
         """Scores of markers, all or those of index `rows`: (N, D) -> (N, M), in [0, 1]; NaN states give 1.
 
-        Source: CF Eq. 6.4, 6.5, 6.7, 6.8.
+        Source: CF Eq. 6.4, 6.5, 6.7, 6.8. Departs from CF Eq. 6.4: markers sit on the skin, not in the joints.
         """
         s = np.ascontiguousarray(states, dtype=np.float64)
         if s.ndim != 2 or s.shape[1] != self.layout.n_columns:
@@ -127,7 +127,7 @@ class MarkerProblem:
         likelihood of these parts' markers. A part without markers says nothing: 0.  given : of no effect, markers
         take up no room.
 
-        Source: CF Eq. 6.9, 6.10; departs from them, unless `factorised` is off, in a mean and a likelihood per part.
+        Source: CF Eq. 6.9, 6.10. Departs from CF Eq. 6.9, unless `factorised` is off: a mean and a likelihood per part.
         """
         chosen = np.arange(self.layout.n_parts) if parts is None else np.asarray(parts, dtype=np.int64)
         rows = np.flatnonzero(np.isin(self.markers.part, chosen))

@@ -1,0 +1,72 @@
+"""The published orders once more, in frames of weak and of strong motion apart, from the committed cells.
+
+A film of the reported tables has both: its weak motion is half as fast as the filters' walk, its strong motion as
+fast. No filter runs again; every cell keeps its error over either kind of frames.
+Writes eval/results/decomposition_motion.csv, one line per published order.
+
+    python -m eval.decomposition_motion
+
+Seconds. Published: SW and XN print errors over all frames of films whose speed they leave open.
+Of the 150 frames of a film SW's weak ones are the first 49, right after the start; XN's are 1 to 79 and 121 to 149.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Sequence
+
+from eval import decomposition_sw_tables, decomposition_xn_4, decomposition_xn_5, decomposition_xn_6
+from eval.decomposition.statistics import Claim, share_that_holds
+from eval.decomposition.store import RESULTS, Row, cell_key, read_rows
+from eval.decomposition.tables import CLAIM_FIELDS, Seeds, Table, claim_line, claims_of
+from eval.whole import write_csv
+
+SCRIPTS = {
+    "sw": decomposition_sw_tables.tables,
+    "xn_4": decomposition_xn_4.tables,
+    "xn_5": decomposition_xn_5.tables,
+    "xn_6": decomposition_xn_6.tables,
+}
+MOTIONS = {"all": "error_px", "weak": "error_weak_px", "strong": "error_strong_px"}
+FIELDS = ("motion", *CLAIM_FIELDS)
+REPORTED = Seeds(scenes=tuple(range(5)), runs=tuple(range(4)), n_workers=1, is_full=False, n_frames=150)
+
+
+def claims_in(table: Table, rows: Iterable[Row], motion: str) -> list[Claim]:
+    """The orders of a table by the errors in frames of one kind of motion."""
+    field = MOTIONS[motion]
+    return claims_of(table, [row | {"error_px": row[field]} for row in rows if row[field]])
+
+
+def committed(name: str) -> list[tuple[Table, list[Row]]]:
+    """The reported tables of a source with their committed cells; times and tables without orders have none."""
+    known = read_rows(RESULTS / f"decomposition_{name}_cells.csv")
+    found = []
+    for table in SCRIPTS[name](REPORTED):
+        keys = dict.fromkeys(cell_key(cell.key()) for cell in table.cells)
+        found.append((table, [known[key] for key in keys if key in known]))
+    return found
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Write the orders of all tables."""
+    argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args(argv)
+    lines = []
+    for motion in MOTIONS:
+        claims = [
+            claim
+            for name in SCRIPTS
+            for table, rows in committed(name)
+            for claim in claims_in(table, rows, motion)
+        ]
+        lines += [{"motion": motion, **claim_line(claim)} for claim in claims]
+        n, holds, firm, against = share_that_holds(claims)
+        sys.stdout.write(f"{motion}: {holds} of {n} hold, {firm} decided for, {against} against\n")
+    write_csv(RESULTS / "decomposition_motion.csv", FIELDS, lines)
+
+
+if __name__ == "__main__":
+    main()
