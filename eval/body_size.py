@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eval.pose_ablation import prepare
-from eval.pose_coverage import DEV_SESSIONS, SCENES, TEST
+from eval.pose_coverage import DEV_SESSIONS, DEV_TEST, SCENES, TEST
 from eval.pose_sessions import DEV, ROOT
 from eval.whole import write_csv
 
@@ -140,7 +140,9 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
     arguments = parser.parse_args()
     names = (
-        [*TEST] if arguments.test else [*SCENES, *(f"dev:{n}" for n in DEV_SESSIONS if (DEV / n).is_dir())]
+        [*TEST]
+        if arguments.test
+        else [*SCENES, *(f"dev:{n}" for n in DEV_SESSIONS + DEV_TEST if (DEV / n).is_dir())]
     )
     if arguments.only:
         names = arguments.only.split(",")

@@ -6,7 +6,8 @@ frame in the neutral pose: upright, arms hanging, palms to the thighs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,12 +59,39 @@ CLOTHES = ("fitted", "loose", "skirt")
 ADULT_M, CHILD_M = (1.2, 2.2), (0.95, 1.6)  # statures that are accepted
 
 
+@dataclass(frozen=True)
+class TurningCentres:
+    """Where segments of skinned people turn inside flesh that the tables of lengths and breadths place; of the stature.
+
+    hip_half : half the distance of the hips.  hip_back : how far the hips lie behind those of the tables.
+    shoulder_down : how far the shoulders lie below those of the tables.  neck_up : the base of the neck above it.
+    """
+
+    hip_half: float
+    hip_back: float
+    shoulder_down: float
+    neck_up: float
+
+
+# Means of 100 men and 100 women, MakeHuman shapes (`python -m eval.joint_centres`). How far back the hips lie is the
+# mean of what the section through the hips and the trunk above them say. Children stand between the two.
+TURNING_CENTRES: Mapping[str, TurningCentres] = {
+    "male": TurningCentres(0.0655, 0.0213, 0.0178, 0.0098),
+    "female": TurningCentres(0.0605, 0.0163, 0.0121, 0.0104),
+    "child": TurningCentres(0.0630, 0.0188, 0.0150, 0.0101),
+}
+# Standard deviations between persons of the same sex: of half the hips' distance, shoulders and necks as measured, of
+# the hips' depth what the two ways of telling it differ by.
+TURNING_SPREAD = TurningCentres(0.0018, 0.0040, 0.0024, 0.0036)
+
+
 @dataclass(frozen=True, eq=False)
 class Figure:
     """Joint layout of one person.
 
     offsets : (J, 3) m, joint origin in the parent's frame, neutral pose.  stature_m : barefoot height.
     girth : (J,) relative thickness of the segment that starts at each joint (1 = average).
+    surface : (J, 3) m, the point of the flesh that the tables call the joint, in the joint's frame; 0 = it turns there.
     head_top : (3,) m, top of the head in the head's frame (on the surface once the body is built).
     is_child : with the proportions of a child.  hair : one of HAIR.  clothes : one of CLOTHES.
     ankle_m : height of the ankle over the floor of bodies from elsewhere, None = of our own.
@@ -79,6 +107,7 @@ class Figure:
     hair: str = "usual"
     clothes: str = "fitted"
     ankle_m: float | None = None
+    surface: Array = field(default_factory=lambda: np.zeros((len(JOINTS), 3)))
 
     @property
     def ankle_height_m(self) -> float:
@@ -118,13 +147,16 @@ def check_person(stature_m: float, sex: str, build: float, is_child: bool) -> No
         raise ValueError(f"build must lie in 0.7 .. 1.5, got {build}")
 
 
+_USUAL_VARIATION = 0.02
+
+
 def make_figure(
     stature_m: float,
     sex: str,
     build: float,
     *,
     rng: np.random.Generator,
-    variation: float = 0.02,
+    variation: float = _USUAL_VARIATION,
     is_child: bool = False,
     hair: str = "usual",
     clothes: str = "fitted",
@@ -136,7 +168,9 @@ def make_figure(
     is_child : larger head, shorter legs and arms, the more the smaller (about 4 years at 1.0 m, 12 at 1.5 m).
     hair, clothes : one of HAIR, one of CLOTHES.
     Segment lengths vary by the relative standard deviation `variation`; left and right are equal and the
-    stature is kept. Raises ValueError for an unknown word or numbers out of range.
+    stature is kept. Hips, shoulders and neck turn where those of skinned people do (`TURNING_CENTRES`), which varies by
+    `TURNING_SPREAD` at the usual variation; the flesh stays where the tables have it. Raises ValueError for an
+    unknown word or numbers out of range.
     Source: segment lengths as fractions of stature, Drillis and Contini 1966 as printed in Winter,
     Biomechanics and Motor Control of Human Movement, Fig. 4.1; joint-centre breadths from Dreyfuss,
     The Measure of Man (bi-iliac and biacromial breadth less the soft tissue). Children: rounded after Snyder et
@@ -160,22 +194,31 @@ def make_figure(
     shoulder = (0.099 if is_child else 0.105 if is_male else 0.097) * vary[5]
     hip_half = (0.0480 if is_male or is_child else 0.0515) * vary[6]
     ball = 0.068 * vary[7]
+    turns = _turning_centres("child" if is_child else sex, (vary[8:] - 1.0) / _USUAL_VARIATION)
     spine, chest = 0.17 * trunk, 0.48 * trunk
-    offsets = np.zeros((len(JOINTS), 3))
+    offsets, surface = np.zeros((2, len(JOINTS), 3))
 
     def put(name: str, x: float, y: float, z: float) -> None:
         offsets[JOINT[name]] = np.array([x, y, z]) * stature_m
 
-    put("spine", -0.010, 0, spine)
+    def flesh(name: str, x: float, y: float, z: float) -> None:
+        surface[JOINT[name]] = np.array([x, y, z]) * stature_m
+
+    # The pelvis is the middle of the hips.
+    put("spine", turns.hip_back - 0.010, 0, spine)
     put("chest", -0.002, 0, chest - spine)
-    put("neck", 0.002, 0, trunk - chest)
-    put("head", 0.012, 0, 0.29 * skull)
+    put("neck", 0.002, 0, trunk - chest + turns.neck_up)
+    put("head", 0.012, 0, 0.29 * skull - turns.neck_up)
+    flesh("pelvis", turns.hip_back, 0, 0)
+    flesh("neck", 0, 0, -turns.neck_up)
     for side, sign in SIDES:
         put(f"{side}_clavicle", 0.012, sign * 0.016, trunk - chest - 0.022)
-        put(f"{side}_shoulder", -0.012, sign * (shoulder - 0.016), -0.008)
-        put(f"{side}_elbow", 0, 0, -upper_arm)
+        put(f"{side}_shoulder", -0.012, sign * (shoulder - 0.016), -0.008 - turns.shoulder_down)
+        put(f"{side}_elbow", 0, 0, turns.shoulder_down - upper_arm)
         put(f"{side}_wrist", 0, 0, -forearm)
-        put(f"{side}_hip", 0, sign * hip_half, 0)
+        put(f"{side}_hip", 0, sign * turns.hip_half, 0)
+        flesh(f"{side}_shoulder", 0, 0, turns.shoulder_down)
+        flesh(f"{side}_hip", turns.hip_back, sign * (hip_half - turns.hip_half), 0)
         put(f"{side}_knee", 0, 0, -thigh)
         put(f"{side}_ankle", 0, 0, -shank)
         put(f"{side}_toe", ball, 0, -0.75 * ankle)
@@ -186,7 +229,18 @@ def make_figure(
         for side, _ in SIDES:
             girth[JOINT[f"{side}_{name}"]] = build**0.25
     head_top = np.array([-0.005, 0.0, 0.71 * skull]) * stature_m
-    return Figure(stature_m, sex, build, offsets, girth, head_top, is_child, hair, clothes)
+    return Figure(stature_m, sex, build, offsets, girth, head_top, is_child, hair, clothes, surface=surface)
+
+
+def _turning_centres(kind: str, draws: Array) -> TurningCentres:
+    """Of one person.  kind : of TURNING_CENTRES.  draws : (4,) standard deviations off the mean."""
+    usual, spread = TURNING_CENTRES[kind], TURNING_SPREAD
+    return TurningCentres(
+        usual.hip_half + spread.hip_half * draws[0],
+        usual.hip_back + spread.hip_back * draws[1],
+        usual.shoulder_down + spread.shoulder_down * draws[2],
+        usual.neck_up + spread.neck_up * draws[3],
+    )
 
 
 def forward_kinematics(offsets: Array, rotations: Array, root_position: Array) -> tuple[Array, Array]:

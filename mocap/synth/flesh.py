@@ -106,6 +106,7 @@ class _Modeller:
         self.is_male = figure.sex == "male"
         self.build = figure.build
         self.offset = figure.offsets / self.H
+        self.surface = figure.surface / self.H
         self.parts: list[Part] = []
         self._position, self._rotation = position, rotation
 
@@ -125,8 +126,13 @@ class _Modeller:
         girth: float = 1.0,
         halves: float = 0.0,
         layer: str = "flesh",
+        fades: float | None = None,
     ) -> None:
-        """One primitive along the z axis of a joint's frame; rows of the profile: z, half_x, half_y[, x[, y]]."""
+        """One primitive along the z axis of a joint's frame; rows of the profile: z, half_x, half_y[, x[, y]].
+
+        Where the joint does not lie in the axis of its flesh (`Figure.surface`), the primitive does; with `fades` only
+        at its top, and this far below the joint the axis goes through the joints again.
+        """
         H = self.H
         rows = np.array([[*row, *([0.0] * (5 - len(row)))] for row in sorted(profile)]) * H
         rows[:, 1:3] *= girth
@@ -134,10 +140,14 @@ class _Modeller:
             dense = np.linspace(rows[0, 0], rows[-1, 0], 48)
             rows = np.column_stack([dense, PchipInterpolator(rows[:, 0], rows[:, 1:])(dense)])
         j = JOINT[joint]
+        shift = self.surface[j] * H
+        if fades is not None:
+            rows[:, 3:] += np.clip(1.0 + rows[:, :1] / (fades * H), 0.0, 1.0) * shift[:2]
+            shift = np.zeros(3)
         R = self._rotation[j] if tilt is None else self._rotation[j] @ tilt
         self.parts.append(
             Part(
-                self._position[j] + self._rotation[j] @ (np.array(at) * H),
+                self._position[j] + self._rotation[j] @ (np.array(at) * H + shift),
                 R,
                 rows[:, 0],
                 rows[:, 1],
@@ -190,7 +200,7 @@ def _trunk(m: _Modeller) -> None:
     offset, build, is_male = m.offset, m.build, m.is_male
     spine_z = offset[JOINT["spine"], 2]
     chest_z = spine_z + offset[JOINT["chest"], 2]
-    neck_z = chest_z + offset[JOINT["neck"], 2]
+    neck_z = chest_z + offset[JOINT["neck"], 2] + m.surface[JOINT["neck"], 2]
     trunk = neck_z / 0.315  # relative trunk length
     shoulder_y = abs(offset[JOINT["left_clavicle"], 1] + offset[JOINT["left_shoulder"], 1])
     wide = shoulder_y / 0.105
@@ -279,7 +289,7 @@ def _trunk(m: _Modeller) -> None:
 def _head(m: _Modeller) -> None:
     figure, H, build, is_male = m.figure, m.H, m.build, m.is_male
     neck_r = (0.0335 if is_male else 0.0285) * build**0.4
-    head_z = m.offset[JOINT["head"], 2]
+    head_z = m.offset[JOINT["head"], 2] - m.surface[JOINT["neck"], 2]
     m.add(
         "neck",
         [(-0.025, neck_r, neck_r * 1.12, -0.004), (head_z + 0.02, neck_r, neck_r * 0.98, 0.006)],
@@ -352,7 +362,7 @@ def _scaled(values: tuple[float, float, float], scale: float) -> tuple[float, fl
 def _arm(m: _Modeller, side: str, sign: float) -> None:
     offset = m.offset
     arm = m.build**0.8 * (1.0 if m.is_male else 0.88)
-    L = -offset[JOINT[f"{side}_elbow"], 2]
+    L = m.surface[JOINT[f"{side}_shoulder"], 2] - offset[JOINT[f"{side}_elbow"], 2]
     F = -offset[JOINT[f"{side}_wrist"], 2]
     clavicle, upper, fore, hand = (f"{side}_{n}" for n in ("clavicle", "shoulder", "elbow", "wrist"))
     m.ball(
@@ -413,7 +423,7 @@ def _leg(m: _Modeller, side: str, sign: float) -> None:
     offset, H = m.offset, m.H
     leg = m.build**0.9 * (1.0 if m.is_male else 1.02)
     foot_floor = -(0.039 * H + SOLE_M)
-    hip_y = offset[JOINT["left_hip"], 1]
+    hip_y = offset[JOINT["left_hip"], 1] + m.surface[JOINT["left_hip"], 1]
     T = -offset[JOINT[f"{side}_knee"], 2]
     S = -offset[JOINT[f"{side}_ankle"], 2]
     hip, knee, ankle, toe = (f"{side}_{n}" for n in ("hip", "knee", "ankle", "toe"))
@@ -438,6 +448,7 @@ def _leg(m: _Modeller, side: str, sign: float) -> None:
         (-T - S, -T, -0.004),
         (0.014, 0.028, 0.042),
         girth=leg,
+        fades=T,
     )
     # Shoe: along its own axis (local z = forward), flat below.
     forward = np.column_stack([[0.0, 0, 1], [0.0, 1, 0], [-1.0, 0, 0]])  # local x up, y left, z backwards
@@ -493,7 +504,7 @@ def _clothes(m: _Modeller) -> None:
 def _wide_shirt(m: _Modeller) -> None:
     spine_z = m.offset[JOINT["spine"], 2]
     chest_z = spine_z + m.offset[JOINT["chest"], 2]
-    trunk = (chest_z + m.offset[JOINT["neck"], 2]) / 0.315
+    trunk = (chest_z + m.offset[JOINT["neck"], 2] + m.surface[JOINT["neck"], 2]) / 0.315
     wide = abs(m.offset[JOINT["left_clavicle"], 1] + m.offset[JOINT["left_shoulder"], 1]) / 0.105
     m.add(
         "pelvis",
@@ -516,7 +527,7 @@ def _wide_shirt(m: _Modeller) -> None:
 
 
 def _wide_sleeve(m: _Modeller, side: str) -> None:
-    L = -m.offset[JOINT[f"{side}_elbow"], 2]
+    L = m.surface[JOINT[f"{side}_shoulder"], 2] - m.offset[JOINT[f"{side}_elbow"], 2]
     arm = m.build**0.8 * (1.0 if m.is_male else 0.92)
     m.add(
         f"{side}_shoulder",
@@ -548,4 +559,5 @@ def _wide_trouser(m: _Modeller, side: str) -> None:
         (0.028, 0.042),
         girth=m.build**0.9,
         layer="cloth",
+        fades=T,
     )

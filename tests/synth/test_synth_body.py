@@ -13,6 +13,8 @@ from mocap.synth.figure import (
     JOINT,
     JOINTS,
     SIDES,
+    TURNING_CENTRES,
+    TURNING_SPREAD,
     forward_kinematics,
     landmarks_of,
     make_figure,
@@ -113,6 +115,39 @@ def test_joint_landmarks_lie_inside_the_posed_mesh(body: Body) -> None:
         # The top of the head is on the surface.
         head = landmarks[LANDMARKS.index("head")]
         assert np.linalg.norm(vertices - head, axis=1).min() < CELL_M
+
+
+def test_segments_turn_where_those_of_skinned_people_do(body: Body) -> None:
+    """Hips lie far apart, and behind the middle of the trunk over them; the leg's flesh goes through knee and ankle."""
+    figure, h = body.figure, body.figure.stature_m
+    upright = np.tile(np.eye(3), (1, len(JOINTS), 1, 1))
+    position, rotation = forward_kinematics(figure.offsets, upright, np.zeros((1, 3)))
+    joints = position[0]
+    vertices, _ = body.pose(joints, rotation[0])
+    centres = TURNING_CENTRES[figure.sex]
+    hip = joints[JOINT["left_hip"]] / h
+    assert abs(hip[1] - centres.hip_half) < 2.1 * TURNING_SPREAD.hip_half
+    shoulders = joints[[JOINT["left_shoulder"], JOINT["right_shoulder"]], 2].mean() / h
+    trunk = np.abs(vertices[:, 2] / h - 0.5 * shoulders) < 0.012
+    trunk &= np.abs(vertices[:, 1] / h) < 0.12
+    middle = 0.5 * (vertices[trunk, 0].min() + vertices[trunk, 0].max()) / h
+    own_back = figure.surface[JOINT["pelvis"], 0] / h - centres.hip_back
+    assert -0.032 < hip[0] - middle + own_back < -0.014  # MakeHuman shapes: -0.024 men, -0.026 women
+    for name, owners in (("knee", ("hip", "knee")), ("ankle", ("knee", "ankle"))):
+        at = joints[JOINT[f"left_{name}"]]
+        own = np.isin(body.weights.argmax(axis=1), [JOINT[f"left_{o}"] for o in owners])
+        own &= np.abs(vertices[:, 2] - at[2] - (0.03 * h if name == "ankle" else 0.0)) < 0.012 * h
+        ring = vertices[own, :2]
+        assert np.linalg.norm(0.5 * (ring.min(axis=0) + ring.max(axis=0)) - at[:2]) < 0.008 * h
+
+
+def test_people_turn_at_places_of_their_own() -> None:
+    figures = [make_figure(1.75, "male", 1.0, rng=np.random.default_rng(k)) for k in range(40)]
+    back = np.array([f.surface[JOINT["pelvis"], 0] / f.stature_m for f in figures])
+    assert 0.6 < back.std() / TURNING_SPREAD.hip_back < 1.3
+    assert abs(back.mean() - TURNING_CENTRES["male"].hip_back) < 0.5 * TURNING_SPREAD.hip_back
+    equal = [make_figure(1.75, "male", 1.0, rng=np.random.default_rng(k), variation=0.0) for k in range(2)]
+    assert np.array_equal(equal[0].offsets, equal[1].offsets)
 
 
 def test_limb_lengths_do_not_depend_on_the_pose(body: Body) -> None:

@@ -102,7 +102,8 @@ def _hands_on_thighs(figure: Figure, rotations: Array, root: Array) -> None:
     for side, sign in SIDES:
         hip, knee = position[:, JOINT[f"{side}_hip"]], position[:, JOINT[f"{side}_knee"]]
         over = rotation[:, JOINT[f"{side}_hip"], :, 0]  # front of the thigh: upwards when seated
-        target = hip + 0.55 * (knee - hip) + (0.050 * figure.build**0.9 + 0.022) * H * over
+        axis_m = (1 - 0.55) * figure.surface[JOINT[f"{side}_hip"], 0]  # of the thigh's flesh, before the bone
+        target = hip + 0.55 * (knee - hip) + ((0.050 * figure.build**0.9 + 0.022) * H + axis_m) * over
         local = np.einsum("tba,tb->ta", chest, target - position[:, JOINT[f"{side}_shoulder"]])
         goals.append(local * np.array([1.0, sign, 1.0]))
     poles = [np.tile([-0.8, 0.6, -0.4], (len(root), 1)) for _ in SIDES]
