@@ -21,6 +21,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eval.pose_sessions import ROOT
 from eval.whole import write_csv
@@ -35,7 +36,9 @@ _SLICE = 0.012  # half the thickness of a section, of the stature
 _SEED = 5
 
 
-def measures(vertices: Array, joints: Array, stature: float, arms: Array | None = None) -> dict[str, float]:
+def measures(
+    vertices: Array, joints: Array, stature: float, arms: NDArray[np.bool_] | None = None
+) -> dict[str, float]:
     """Of a neutral body, fractions of its barefoot stature.  vertices : (V, 3), joints : (J, 3), one unit.
 
     arms : (V,) bool, vertices that are no trunk and no leg; without it arms are told by how far out they are.
@@ -105,7 +108,7 @@ def own_people(n: int, *, of_tables: bool) -> dict[str, list[dict[str, float]]]:
     return found
 
 
-def _neutral(body: Body, *, of_tables: bool) -> tuple[Array, Array, float, Array]:
+def _neutral(body: Body, *, of_tables: bool) -> tuple[Array, Array, float, NDArray[np.bool_]]:
     """Vertices, joints, stature and whether a vertex belongs to an arm."""
     upright = np.tile(np.eye(3), (1, len(JOINTS), 1, 1))
     position, rotation = forward_kinematics(body.figure.offsets, upright, np.zeros((1, 3)))
