@@ -45,15 +45,14 @@ def poses_of(folder: Path, out: Path, body: str, seed: int) -> list[PersonPoses]
     from mocap.io.session import open_session
     from mocap.io.store import StageStore
     from mocap.pipeline.config import load_config
+    from mocap.pipeline.stage import Job
     from mocap.pipeline.stages.pose import estimate_poses
     from mocap.products.tracks import stored_tracks
 
     session, store = open_session(folder), StageStore(out / "store.zarr")
     config = load_config("default", (f"body.model={body}",))
     tracks = stored_tracks(store, session.fps)
-    return estimate_poses(
-        session, config, store, tracks, seed=seed, n_threads=1, progress=lambda stage, done, total: None
-    )
+    return estimate_poses(Job(session, config, store, seed=seed), tracks)
 
 
 def rows_of(poses: PersonPoses, truths: list[Motion]) -> tuple[int, list[dict[str, Any]]]:

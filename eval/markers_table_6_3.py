@@ -196,12 +196,13 @@ def run_cell(
     settings : of the preset, besides those of the filter.
     """
     from mocap.pipeline.pose_settings import marker_tools
-    from mocap.pose.marker_person import follow_prepared
+    from mocap.pose.marker_person import finish_markers, follow_prepared
 
     seen = observations(clip, detector, seed)
     config = configuration(which, *settings)
     tools = marker_tools(person.tools.body, person.tools.markers, person.tools.fps, config)
-    poses = follow_prepared(clip.frames, lambda f: seen[f], replace(person, tools=tools), seed=seed)
+    followed = follow_prepared(clip.frames, lambda f: seen[f], replace(person, tools=tools), seed=seed)
+    poses = finish_markers(followed)
     error = 1000.0 * np.linalg.norm(poses.landmarks - clip.landmarks, axis=2)
     matched = error[error < EPSILON_MM]
     return {

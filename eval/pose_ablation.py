@@ -75,21 +75,15 @@ def measure(folder: Path, out: Path, settings: tuple[str, ...], seed: int) -> di
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
     from mocap.pipeline.config import load_config
+    from mocap.pipeline.stage import Job
     from mocap.pipeline.stages.pose import estimate_poses
     from mocap.pose.result import motion_of
     from mocap.products.tracks import stored_tracks
 
     session, store = open_session(folder), StageStore(out / "store.zarr")
     started = time.perf_counter()
-    poses = estimate_poses(
-        session,
-        load_config("default", settings),
-        store,
-        stored_tracks(store, session.fps),
-        seed=seed,
-        n_threads=1,
-        progress=lambda stage, done, total: None,
-    )
+    job = Job(session, load_config("default", settings), store, seed=seed)
+    poses = estimate_poses(job, stored_tracks(store, session.fps))
     seconds = time.perf_counter() - started
     truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
     scores = evaluate(

@@ -98,6 +98,7 @@ def _measured(name: str, seed: int, work: Path) -> dict[str, Any]:
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
     from mocap.pipeline.config import load_config
+    from mocap.pipeline.stage import Job
     from mocap.pipeline.stages.pose import estimate_poses
     from mocap.pose.deviation import landmark_misfit
     from mocap.products.tracks import stored_tracks
@@ -107,13 +108,8 @@ def _measured(name: str, seed: int, work: Path) -> dict[str, Any]:
     tracks = stored_tracks(store, session.fps)
     early = tracks.frame < session.frames.start + N_FRAMES
     found = estimate_poses(
-        session,
-        load_config(),
-        store,
+        Job(session, load_config(), store, seed=seed),
         Tracks(tracks.frame[early], tracks.person[early], tracks.time_s[early], tracks.xyz[early]),
-        seed=seed,
-        n_threads=1,
-        progress=lambda stage, done, total: None,
     )
     truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
     motions = [Motion(p.person, p.frames, p.frames / session.fps, p.landmarks) for p in found]

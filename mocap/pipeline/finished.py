@@ -12,7 +12,8 @@ from mocap.files import load_json
 from mocap.io._files import writing
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
-from mocap.pipeline.edits.meaning import check_reach, edited_tracks, pose_edits_of, renamings_of
+from mocap.pipeline.edits.beside import tracks_after, tracks_before
+from mocap.pipeline.edits.meaning import check_reach, pose_edits_of, renamings_of
 from mocap.pipeline.edits.model import Edits, PinLandmark
 from mocap.pipeline.lock import sole_use
 from mocap.pipeline.overlay_video import overlay_videos
@@ -27,7 +28,6 @@ from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
 from mocap.products.one_run import check_one_run
 from mocap.products.poses import stored_poses
-from mocap.products.tracks import stored_tracks
 from mocap.progress import Progress, no_progress
 from mocap.tracking.renaming import renamed_tracks
 
@@ -50,7 +50,7 @@ def open_run(out: Path, session: Path) -> RunResult:
     _check_same(record, opened, out)
     opened = at_useful_size(opened, record.config, record.kind)
     store = StageStore(out / "store.zarr")
-    tracks = edited_tracks(store, opened, record.config.edits)
+    tracks = tracks_after(store, record.kind, opened, record.config.edits)
     found = Found(opened, store, record.kind, tracks, tuple(stored_poses(store)))
     return RunResult(record, out, found)
 
@@ -129,7 +129,7 @@ def check_edits(out: Path, edits: Edits) -> None:
     record = read_record(out)
     store = StageStore(out / "store.zarr")
     check_one_run(out, tracks_product.PRODUCT)
-    tracks = stored_tracks(store, record.fps)
+    tracks = tracks_before(store, record.kind, record.frames, record.fps)
     renamings = renamings_of(edits, tracks, record.frames)
     pose_edits_of(edits, renamed_tracks(tracks, renamings), record.frames)
     for pin in edits.of(PinLandmark):

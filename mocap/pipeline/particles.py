@@ -12,6 +12,7 @@ from mocap.errors import MocapError
 from mocap.pipeline.edits.meaning import renamings_of
 from mocap.pipeline.record import RunResult
 from mocap.pipeline.scene_frames import LayersOf, rows_at
+from mocap.pipeline.stage import Job
 from mocap.pipeline.stages.pose import PoseWork
 from mocap.pose.layers import layers_from
 from mocap.pose.result import PersonPoses
@@ -48,7 +49,7 @@ def particle_layers(run: RunResult, frames: tuple[int | None, int | None]) -> La
             remedy="run the session with --observation voxels",
         )
     renamings = renamings_of(record.config.edits, stored_tracks(run.found.store, record.fps), clip)
-    work = PoseWork(run.session, record.config, run.found.store, renamings)
+    work = PoseWork(Job(run.session, record.config, run.found.store), renamings)
     return lambda frame: _of_frame(work, run, frame) if frame in wanted else {}
 
 
@@ -65,7 +66,7 @@ def _of_frame(work: PoseWork, run: RunResult, frame: int) -> Mapping[int, Sequen
             layers = layers_from(observation.evidence(prepared), poses.states[max(row - 1, 0)], rng=rng)
         except (TypeError, ValueError) as error:
             raise MocapError(
-                f"the filter {work.config.pose.filter} cannot be looked at: {error}",
+                f"the filter {work.job.config.pose.filter} cannot be looked at: {error}",
                 remedy="take apf, sir or another filter of whole bodies",
             ) from error
         found[poses.person] = [_ends(poses, layer.particles) for layer in layers]

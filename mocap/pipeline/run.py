@@ -20,8 +20,7 @@ from mocap.io.store import StageStore
 from mocap.pipeline.chains import UNTIL, WITH_VOLUMES, observation_kind, stages_until
 from mocap.pipeline.checks import check_config, check_flesh, check_out, check_truth, check_volume
 from mocap.pipeline.config import Config, load_config
-from mocap.pipeline.edits.beside import hand_words, with_edits
-from mocap.pipeline.edits.meaning import edited_tracks
+from mocap.pipeline.edits.beside import hand_words, tracks_after, with_edits
 from mocap.pipeline.edits.model import Edits
 from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.keys import stage_keys
@@ -145,7 +144,7 @@ def _collect(job: Job, kind: str, until: str) -> Found:
         session=job.session,
         store=job.store,
         kind=kind,
-        tracks=edited_tracks(job.store, job.session, job.config.edits)
+        tracks=tracks_after(job.store, kind, job.session, job.config.edits)
         if tracks_product.PRODUCT in products
         else None,
         poses=tuple(stored_poses(job.store)) if poses_product.PRODUCT in products else (),

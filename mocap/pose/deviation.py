@@ -64,7 +64,7 @@ class FrameSeries:
     def __len__(self) -> int:
         return len(self.states)
 
-    def rows(self, rows: slice) -> FrameSeries:
+    def rows(self, rows: slice | NDArray[np.bool_]) -> FrameSeries:
         """Some of the frames."""
         return FrameSeries(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 

@@ -108,7 +108,7 @@ def _reasons(poses: PersonPoses, fps: float, numbers: DoubtSettings) -> list[_Re
             _fallen(poses, numbers),
             (),
             np.zeros((len(poses.frames), 0)),
-            "the pose explains the volume badly",
+            "the pose explains what was seen badly",
         ),
         _Reason(is_blind * 1.0, (), np.zeros((len(poses.frames), 0)), "nothing was seen of the person"),
     ]

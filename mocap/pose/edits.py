@@ -8,28 +8,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, landmarks_of
 from mocap.data.problem import ResidualProblem
-from mocap.filters.refine import RefineSettings, refine
 from mocap.geometry.rigid import wrap_angle
-from mocap.likelihood.residuals.total import SumProblem
 from mocap.pose.deviation import FrameSeries, fit_covariance
+from mocap.pose.evidence import FrameEvidence
 from mocap.pose.follow import unbroken
 from mocap.pose.limbs import Limb, arms_of, legs_of, limbs_exchanged, limbs_with_landmarks, moved_to
 from mocap.pose.method import EditSettings
 from mocap.pose.point_fit import PointFit
 from mocap.pose.repair import carried
 from mocap.pose.result import FollowedPerson
-from mocap.pose.volume import VolumeEvidence
 
 Array = NDArray[np.float64]
-EvidenceOf = Callable[[int], VolumeEvidence | None]
 Sides = Literal["legs", "arms", "body"]
+
+
+class EditedEvidence(FrameEvidence, Protocol):
+    """Evidence of a frame in which a landmark can be pinned."""
+
+    def refined_with(self, state: Array, other: ResidualProblem) -> Array:
+        """A state (D,) moved to a nearby minimum of the evidence's cost and of another one, nats."""
+        ...
+
+
+EvidenceOf = Callable[[int], EditedEvidence | None]
 
 
 @dataclass(frozen=True)
@@ -78,7 +86,7 @@ def edited(followed: FollowedPerson, edits: PoseEdits, evidence_of: EvidenceOf) 
     is_bad = np.zeros(len(followed.frames), dtype=np.bool_)
     for frames in edits.bad:
         is_bad[work.rows_in(frames)] = True
-    return _without(replace(followed, series=work.series), is_bad)
+    return _without(replace(followed, series=work.series, information=work.information), is_bad)
 
 
 def exchanged(body: Body, state: Array, sides: Sides) -> Array:
@@ -132,11 +140,7 @@ def _pin(work: _Frames, row: int, pin: Pin) -> None:
     )
     evidence = work.evidence_of(row)
     if evidence is not None:
-        problem = SumProblem((*evidence.weighted_residuals, (evidence.m2_per_nat, point)))
-        settings = RefineSettings(
-            evidence.tools.prior_std, n_iterations=evidence.tools.settings.method.evidence.refine_iterations
-        )
-        state = refine(problem, state, settings)[0]
+        state = evidence.refined_with(state, point)
     work.set(row, state, is_refined=False, pinned=(at, point))
     piece = next(piece for piece in unbroken(work.followed.frames) if piece.start <= row < piece.stop)
     own = work.states[piece].copy()
@@ -161,6 +165,7 @@ class _Frames:
         self.followed, self.evidence_of = followed, evidence_of
         self.numbers: EditSettings = followed.tools.settings.method.edits
         self.series = copied(followed.series)
+        self.information = None if followed.information is None else followed.information.copy()
 
     @property
     def states(self) -> Array:
@@ -179,7 +184,7 @@ class _Frames:
         information = np.zeros((len(state),) * 2)
         series.doubtful[row] = False
         if evidence is not None:
-            state = evidence.refined(state) if is_refined else state
+            state = evidence.all_refined([state])[0] if is_refined else state
             fit = evidence.fit(state)
             information = fit.information
             series.misfit[row], series.unexplained[row] = fit.misfit, fit.unexplained
@@ -191,6 +196,8 @@ class _Frames:
             information = information + problem.normal_equations(state)[1]
             series.hidden_std[row, landmark] = 0.0
             series.observed[row, landmark] = True
+        if self.information is not None:
+            self.information[row] = information
         if self.followed.tools.settings.refine:
             deviation = self.followed.tools.settings.method.deviation
             series.fit_covariance[row] = fit_covariance(body, state, information, deviation)
@@ -213,6 +220,9 @@ def _without(followed: FollowedPerson, is_bad: NDArray[np.bool_]) -> FollowedPer
         getattr(series, name)[is_bad] = 0
     for name in ("log_likelihood", "ess_share"):
         getattr(series, name)[is_bad] = np.nan
+    information = None
+    if followed.information is not None:
+        information = np.where(is_bad[:, None, None], 0.0, followed.information)
     for row in np.flatnonzero(is_bad):
         after = int(np.searchsorted(good, row))
         a, b = good[max(after - 1, 0)], good[min(after, len(good) - 1)]
@@ -222,4 +232,4 @@ def _without(followed: FollowedPerson, is_bad: NDArray[np.bool_]) -> FollowedPer
         series.states[row] = series.states[a] + share * way
         n_away = min(abs(int(frames[row] - frames[end])) for end in (a, b))
         series.blind_std[row] = np.hypot(blind_m, n_away * step_m)
-    return replace(followed, series=series)
+    return replace(followed, series=series, information=information)

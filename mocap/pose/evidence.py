@@ -32,6 +32,11 @@ class PersonTools:
     n_threads: int
 
     @property
+    def marker_offsets(self) -> Array | None:
+        """Where markers or keypoints sit on this person, (M, 3) m in the joints' frames; None without any."""
+        return None
+
+    @property
     def noise_std(self) -> Array:
         """(D,) standard deviation per frame: half of the largest expected movement (CF 3.2.2)."""
         return 0.5 * self.body.max_speed / self.fps * self.settings.noise_scale

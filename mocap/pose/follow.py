@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from mocap.body import Body, landmarks_of
 from mocap.body.average import mean_state
 from mocap.filters import FILTERS, FilterInfo, ParticleState, initial_particles
-from mocap.pose.evidence import FrameEvidence, PersonClip, WholeBodyEvidence
+from mocap.pose.deviation import FrameSeries, fit_covariance
+from mocap.pose.evidence import FrameEvidence, PersonClip, PersonTools, WholeBodyEvidence
 from mocap.pose.limb_search import LimbSchedule, search_limbs
 from mocap.pose.limbs import in_doubt, legs_exchanged
 from mocap.pose.restart import FallenEvidence, restarted_pose
-from mocap.pose.start import PoseSearch, settle_first_poses, try_first_poses, walking_velocity
+from mocap.pose.start import FirstPose, PoseSearch, settle_first_poses, try_first_poses, walking_velocity
 from mocap.profiling import part
 from mocap.rng import rng_for
 from mocap.threads import worker_threads
@@ -190,6 +191,34 @@ def follow_pose(
     """
     policy = OnePose(clip, order[0] if len(order) else 0, first, forgets=forgets)
     yield from follow(clip, order, policy, lambda frame: rng_for(seed, stage, clip.person, frame))
+
+
+def follow_both_ways(
+    clip: PersonClip, first: FirstPose, *, seed: int, progress: Callable[[int], None] | None = None
+) -> Iterator[FramePose]:
+    """Every frame of a clip once, from the first pose to the end and back to the beginning: `follow_pose`."""
+    start = int(np.searchsorted(clip.frames, first.frame))
+    for way, order in both_ways(len(clip), start):
+        for pose in follow_pose(clip, order, first.state, seed=seed, stage=f"pose{way}"):
+            if way and pose.row == start:
+                continue  # the start was settled on the way forward
+            yield pose
+            if progress is not None:
+                progress(1)
+
+
+def note(series: FrameSeries, row: int, pose: FramePose, tools: PersonTools) -> None:
+    """A frame's pose into its row of the series."""
+    series.states[row] = pose.state
+    series.fit_covariance[row] = (
+        fit_covariance(tools.body, pose.state, pose.information, tools.settings.method.deviation)
+        if tools.settings.refine
+        else pose.spread
+    )
+    for column in (
+        "misfit", "unexplained", "blind_std", "hidden_std", "observed", "doubtful", "log_likelihood", "ess_share",
+    ):  # fmt: skip
+        getattr(series, column)[row] = getattr(pose, column)
 
 
 class OnePose:

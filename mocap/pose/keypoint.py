@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from mocap.body import landmarks_of, neutral_state
 from mocap.body.markers import Markers, marker_positions
+from mocap.data.problem import ResidualProblem
 from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.scout import Bonus
 from mocap.geometry.triangulation import triangulate_agreeing
 from mocap.likelihood.keypoints import KeypointProblem, KeypointSettings, KeypointViews
+from mocap.likelihood.residuals.total import SumProblem
 from mocap.pose.evidence import FrameEvidence, FrameFit, PersonTools
 from mocap.pose.method import KeypointPoseSettings
 
@@ -27,6 +29,10 @@ class KeypointTools(PersonTools):
     """What stays the same for one person over a clip of keypoints.  markers : where they sit on the body."""
 
     markers: Markers
+
+    @property
+    def marker_offsets(self) -> Array | None:
+        return self.markers.offset
 
     @property
     def numbers(self) -> KeypointPoseSettings:
@@ -113,6 +119,14 @@ class KeypointEvidence:
             found, _ = refine(wide, state, settings)
             out.append(found if self.is_coarse else refine(self.search, found, settings)[0])
         return out
+
+    def refined_with(self, state: Array, other: ResidualProblem) -> Array:
+        """A state (D,) moved to a nearby minimum of the keypoints' cost and of another one, nats."""
+        n = self.tools.settings.method.evidence.refine_iterations
+        both = SumProblem(((self.search.settings.worth, self.search), (1.0, other)))
+        return refine(both, state, RefineSettings(self.tools.prior_std, residual_std_m=1.0, n_iterations=n))[
+            0
+        ]
 
     def unexplained_share(self, state: Array) -> float:
         """Share of the keypoints that lie far from the body's."""

@@ -16,10 +16,11 @@ from mocap.body.markers import marker_positions
 from mocap.data.keypoints import KEYPOINTS
 from mocap.filters.smoother import smooth_states
 from mocap.likelihood.markers import BundleSettings, bundle
+from mocap.pose.deviation import FrameSeries
 from mocap.pose.evidence import PersonClip, PersonTools
-from mocap.pose.follow import FramePose, both_ways, follow_pose
+from mocap.pose.follow import follow_both_ways, follow_pose, note, unbroken
 from mocap.pose.keypoint import KeypointObservation, KeypointTools, ViewsOf, points_of
-from mocap.pose.result import PersonPoses
+from mocap.pose.result import FollowedPerson, PersonPoses
 from mocap.pose.start import FirstPose, PoseSearch, settle_first_poses, try_first_poses
 from mocap.rng import rng_for
 
@@ -46,9 +47,12 @@ class PersonKeypoints:
         return PersonClip(self.person, self.frames, None, KeypointObservation(tools, self.views_of))
 
 
-def keypoint_tools(tools: PersonTools) -> KeypointTools:
-    """Tools for a body whose keypoints sit where the table of places says."""
-    return KeypointTools(tools.body, tools.fps, tools.settings, tools.n_threads, place_keypoints(tools.body))
+def keypoint_tools(tools: PersonTools, offsets: Array | None = None) -> KeypointTools:
+    """Tools for a body whose keypoints sit where the table of places says, or at offsets (K, 3) m from their joints."""
+    markers = place_keypoints(tools.body)
+    if offsets is not None:
+        markers = replace(markers, offset=offsets)
+    return KeypointTools(tools.body, tools.fps, tools.settings, tools.n_threads, markers)
 
 
 def follow_keypoints(
@@ -58,8 +62,8 @@ def follow_keypoints(
     height_m: float | None,
     seed: int,
     progress: Callable[[int], None] | None = None,
-) -> PersonPoses | None:
-    """Poses of one person over its frames; None when no frame shows enough points.
+) -> FollowedPerson | None:
+    """One person over its frames; None when no frame shows enough points. `finish_keypoints` makes poses of it.
 
     tools_of : standing height, m -> body and settings.  height_m : None = from the keypoints.
     The first pose is looked for in a few frames; segment lengths and the tool's offsets are fitted to frames spread
@@ -74,8 +78,24 @@ def follow_keypoints(
     first = _first_pose(seen, tools, rows, seed=seed)
     tools, first = _fitted(seen, tools, first, is_size_known=height_m is not None, seed=seed)
     height = HeightEstimate(height_m if height_m is not None else tools.body.height_m, True)
-    poses = _followed(seen.clip(tools), first, seed=seed, progress=progress)
-    return _result(seen, tools, poses, first, height)
+    clip = seen.clip(tools)
+    series, n = FrameSeries.of_length(len(clip), tools.body), tools.body.layout.n_columns
+    information = np.zeros((len(clip), n, n))
+    for pose in follow_both_ways(clip, first, seed=seed, progress=progress):
+        note(series, pose.row, pose, tools)
+        information[pose.row] = pose.information
+    return FollowedPerson(
+        person=seen.person,
+        tools=tools,
+        height=height,
+        frames=seen.frames,
+        series=series,
+        is_facing_open=False,
+        n_usable=int(np.isfinite(series.log_likelihood).sum()),
+        start_frame=first.frame,
+        first_pose=first.label,
+        information=information,
+    )
 
 
 def _usable_rows(seen: PersonKeypoints, tools: KeypointTools) -> NDArray[np.int64]:
@@ -178,58 +198,38 @@ def _brisk(tools: KeypointTools, stride: int) -> KeypointTools:
     return tools.brisk(trial.trial_layers, trial.trial_particles // 2, stride)
 
 
-def _followed(
-    clip: PersonClip, first: FirstPose, *, seed: int, progress: Callable[[int], None] | None
-) -> list[FramePose]:
-    """The poses of all frames, from the first one to the end and back to the beginning."""
-    start = int(np.searchsorted(clip.frames, first.frame))
-    found: dict[int, FramePose] = {}
-    for way, order in both_ways(len(clip), start):
-        for pose in follow_pose(clip, order, first.state, seed=seed, stage=f"pose{way}"):
-            if pose.row not in found:
-                found[pose.row] = pose
-                if progress is not None:
-                    progress(1)
-    return [found[row] for row in range(len(clip))]
-
-
-def _result(
-    seen: PersonKeypoints,
-    tools: KeypointTools,
-    poses: Sequence[FramePose],
-    first: FirstPose,
-    height: HeightEstimate,
-) -> PersonPoses:
-    """Smoothed poses with their uncertainty."""
-    states, covariance = _smoothed(tools, poses)
-    log_likelihood = np.array([pose.log_likelihood for pose in poses])
-    n_blind = int((~np.isfinite(log_likelihood)).sum())
+def finish_keypoints(followed: FollowedPerson) -> PersonPoses:
+    """Smoothed poses of a person who was followed, with their uncertainty."""
+    tools, series, information = followed.tools, followed.series, followed.information
+    assert information is not None
+    pieces = unbroken(followed.frames)
+    smoothed = [_smoothed(tools, series.states[piece], information[piece]) for piece in pieces]
+    states = np.concatenate([own for own, _ in smoothed])
+    n_blind = len(followed.frames) - followed.n_usable
     warnings = (
-        f"person {seen.person}: two views saw too few keypoints in {n_blind} of {len(poses)} frames; the pose was "
-        "carried on there and its landmarks are marked as not observed",
+        f"person {followed.person}: two views saw too few keypoints in {n_blind} of {len(followed.frames)} frames; the "
+        "pose was carried on there and its landmarks are marked as not observed",
     )
     return PersonPoses(
-        person=seen.person,
+        person=followed.person,
         body=tools.body,
-        height=height,
-        frames=seen.frames,
+        height=followed.height,
+        frames=followed.frames,
         states=states,
         landmarks=landmarks_of(tools.body, states),
-        landmark_covariance=covariance,
-        observed=np.array([pose.observed for pose in poses]),
-        log_likelihood=log_likelihood,
-        ess_share=np.array([pose.ess_share for pose in poses]),
-        start_frame=first.frame,
-        first_pose=first.label,
+        landmark_covariance=np.concatenate([covariance for _, covariance in smoothed]),
+        observed=series.observed,
+        log_likelihood=series.log_likelihood,
+        ess_share=series.ess_share,
+        start_frame=followed.start_frame,
+        first_pose=followed.first_pose,
         warnings=warnings if n_blind else (),
     )
 
 
-def _smoothed(tools: KeypointTools, poses: Sequence[FramePose]) -> tuple[Array, Array]:
+def _smoothed(tools: PersonTools, states: Array, information: Array) -> tuple[Array, Array]:
     """States (T, D) smoothed over time, and the covariance of their landmarks (T, M, 3, 3) m^2."""
-    body, numbers = tools.body, tools.numbers
-    states = np.array([pose.state for pose in poses])
-    information = np.array([pose.information for pose in poses])
+    body, numbers = tools.body, tools.settings.method.keypoints
     per_s2 = np.where(body.is_position, numbers.acceleration_m_s2, numbers.acceleration_rad_s2)
     smoothed, covariance = smooth_states(states, information, per_s2 / tools.fps**2, body.layout.is_circular)
     states = np.clip(smoothed, body.layout.lower, body.layout.upper)

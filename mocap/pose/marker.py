@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mocap.body import landmarks_of, neutral_state
 from mocap.body.markers import Markers, marker_positions
+from mocap.data.problem import ResidualProblem
 from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.scout import Bonus
 from mocap.geometry.rigid import wrap_angle
@@ -21,6 +22,7 @@ from mocap.likelihood.markers import (
     MarkerObservation,
     MarkerProblem,
 )
+from mocap.likelihood.residuals.total import SumProblem
 from mocap.pose.evidence import FrameEvidence, FrameFit, PersonTools
 from mocap.pose.settings import MarkerSettings
 
@@ -64,6 +66,10 @@ class MarkerTools(PersonTools):
     extra_slack_m: float = 0.0
 
     @property
+    def marker_offsets(self) -> Array | None:
+        return self.markers.offset
+
+    @property
     def narrow(self) -> Rounds:
         """Rounds of matching near a pose."""
         return self.settings.method.marker_fit.narrow_rounds
@@ -93,8 +99,14 @@ class MarkerTools(PersonTools):
         )
         return MarkerProblem(self.body, self.markers, observation, settings)
 
-    def fit(self, observation: MarkerObservation, state: Array, rounds: Rounds | None = None) -> Fit:
-        """A state (D,) refined on one frame, matched anew before each round."""
+    def fit(
+        self,
+        observation: MarkerObservation,
+        state: Array,
+        rounds: Rounds | None = None,
+        others: Sequence[ResidualProblem] = (),
+    ) -> Fit:
+        """A state (D,) refined on one frame, matched anew before each round.  others : further costs, nats."""
         numbers = self.settings.method.marker_fit
         is_position = self.body.is_position
         prior_std = np.where(is_position, numbers.prior_std_m, numbers.prior_std_rad)
@@ -104,7 +116,8 @@ class MarkerTools(PersonTools):
             problem = replace(problem, settings=settings).matched_at(state)
             # One unit of a residual is one standard deviation of a detection.
             refining = RefineSettings(prior_std, residual_std_m=1.0, n_iterations=n_iterations)
-            state, _ = refine(problem, state, refining)
+            every = SumProblem(((1.0, problem), *((1.0, other) for other in others))) if others else problem
+            state, _ = refine(every, state, refining)
         return Fit(state, problem.normal_equations(state)[0], problem, numbers.min_matched_markers)
 
     def fit_problem(self, observation: MarkerObservation) -> MarkerFitProblem:
@@ -142,6 +155,10 @@ class MarkerEvidence:
     def all_refined(self, states: Sequence[Array], n_iterations: int | None = None) -> list[Array]:
         """Each of several states (D,) refined; n_iterations is that of the tools' rounds."""
         return [self.tools.fit(self.observation, state).state for state in states]
+
+    def refined_with(self, state: Array, other: ResidualProblem) -> Array:
+        """A state (D,) moved to a nearby minimum of the detections' cost and of another one, nats."""
+        return self.tools.fit(self.observation, state, others=(other,)).state
 
     def limb_terms(self, state: Array) -> list[Bonus]:
         """Detections have no other word for a limb than their likelihood."""

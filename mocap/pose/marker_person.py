@@ -14,8 +14,9 @@ from mocap.body.kinematics import point_jacobian
 from mocap.filters.smoother import smooth_states
 from mocap.likelihood.markers import BundleSettings, bundle_markers
 from mocap.pose.beam import BeamPath, follow_beam
+from mocap.pose.deviation import FrameSeries
 from mocap.pose.evidence import PersonClip
-from mocap.pose.follow import FramePose, both_ways, follow_pose
+from mocap.pose.follow import FramePose, both_ways, follow_pose, unbroken
 from mocap.pose.marker import Fit, MarkerClipObservation, MarkerTools, ObservationOf, observed_landmarks
 from mocap.pose.marker_start import (
     MarkerStart,
@@ -26,23 +27,20 @@ from mocap.pose.marker_start import (
     steady_points,
 )
 from mocap.pose.method import MarkerStartSettings
-from mocap.pose.result import PersonPoses
+from mocap.pose.result import FollowedPerson, PersonPoses
 from mocap.rng import rng_for
 
 Array = NDArray[np.float64]
 
-PERSON = 1
-_FACING_OPEN = (
-    f"person {PERSON}: it is not clear which way the person faces (two poses explain the detections almost "
-    "equally well); left and right may be exchanged"
-)
+PERSON = 1  # one wears markers; edits by hand may make another of him
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """A person ready to be followed: body and markers fitted to it, and a first pose.
 
-    state : (D,) in frame `frame`.  label : the kind of pose it grew from.  points : frame -> steady points (K, 3) m.
+    state : (D,) in frame `frame`.  label : the kind of pose it grew from.  is_facing_open : a pose that faces another
+    way explains the detections almost as well.  points : frame -> steady points (K, 3) m.
     """
 
     tools: MarkerTools
@@ -50,8 +48,9 @@ class Prepared:
     state: Array
     label: str
     height: HeightEstimate
+    is_facing_open: bool
     points: dict[int, Array]
-    warnings: tuple[str, ...]
+    person: int = PERSON
 
 
 def prepare_person(
@@ -63,6 +62,7 @@ def prepare_person(
     seed: int,
     is_fitted: bool = True,
     progress: Callable[[int, int], None] | None = None,
+    person: int = PERSON,
 ) -> Prepared | None:
     """First pose, segment lengths and marker offsets of the person who wears the markers; None when there is nobody.
 
@@ -79,7 +79,7 @@ def prepare_person(
     height = _height(height_m, list(points.values()), numbers)
     rounds = numbers.rough_slack_m if is_fitted else ()
     tools = replace(tools_of(height.height_m), extra_slack_m=rounds[0] if rounds else 0.0)
-    first = _first_pose(tools, frames, observation_of, points_of, seed=seed)
+    first = _first_pose(tools, frames, observation_of, points_of, seed=seed, person=person)
     if first is None:
         return None
     reach = round(numbers.fit_s * tools.fps)
@@ -89,8 +89,7 @@ def prepare_person(
     for k, slack in enumerate(rounds):
         tools = replace(tools, extra_slack_m=slack)
         path = _beam_both_ways(
-            MarkerClipObservation(tools, observation_of),
-            window,
+            _clip(window, MarkerClipObservation(tools, observation_of), person),
             first.frame,
             state,
             f"markers-{k}",
@@ -98,16 +97,10 @@ def prepare_person(
             tick=tick,
         )
         tools, state = _fitted(tools, observation_of, window, path, first.frame)
-    warnings = list(first.warnings)
     if is_fitted:
         height = HeightEstimate(tools.body.height_m, True)
-    elif not height.is_measured:
-        warnings.append(
-            f"person {PERSON}: the standing height could not be read from the markers; {height.height_m:.2f} m was "
-            "taken. Remedy: set person_height_m in session.toml"
-        )
     tools = replace(tools, extra_slack_m=0.0)
-    return Prepared(tools, first.frame, state, first.label, height, points, tuple(warnings))
+    return Prepared(tools, first.frame, state, first.label, height, first.is_facing_open, points, person)
 
 
 def _ticker(n_total: int, progress: Callable[[int, int], None] | None) -> Callable[[], None]:
@@ -132,13 +125,15 @@ def follow_markers(
     seed: int,
     is_fitted: bool = True,
     progress: Callable[[int, int], None] | None = None,
-) -> PersonPoses | None:
-    """Poses of the person who wears the markers, in all frames; None when no pose explains the detections.
+    person: int = PERSON,
+) -> FollowedPerson | None:
+    """The person who wears the markers in all frames; None when no pose explains the detections. `finish_markers` makes
+    poses of it.
 
     The arguments are those of `prepare_person`, which comes first; then the poses are followed from the first one to
     the end and back to the beginning.
     """
-    person = prepare_person(
+    prepared = prepare_person(
         frames,
         observation_of,
         tools_of,
@@ -146,38 +141,53 @@ def follow_markers(
         seed=seed,
         is_fitted=is_fitted,
         progress=progress,
+        person=person,
     )
-    if person is None:
+    if prepared is None:
         return None
-    return follow_prepared(frames, observation_of, person, seed=seed, progress=progress)
+    return follow_prepared(frames, observation_of, prepared, seed=seed, progress=progress)
 
 
 def follow_prepared(
     frames: range,
     observation_of: ObservationOf,
-    person: Prepared,
+    prepared: Prepared,
     *,
     seed: int,
     progress: Callable[[int, int], None] | None = None,
-) -> PersonPoses:
-    """Poses of a prepared person from its first pose to the end and back to the beginning, with the settings in its
-    tools: several hypotheses refined and smoothed, or without `pose.refine` the filter alone."""
-    tools = person.tools
+) -> FollowedPerson:
+    """A prepared person from its first pose to the end and back to the beginning, with the settings in its tools:
+    several hypotheses refined, or without `pose.refine` the filter alone."""
+    tools = prepared.tools
     observation = MarkerClipObservation(tools, observation_of)
+    clip = _clip(frames, observation, prepared.person)
     if tools.settings.refine:
         tick = _ticker(len(frames) + 1, progress)
-        path = _beam_both_ways(observation, frames, person.frame, person.state, "pose", seed=seed, tick=tick)
+        path = _beam_both_ways(clip, prepared.frame, prepared.state, "pose", seed=seed, tick=tick)
         walk = _walk_of_beam(tools, path)
     else:
-        walk = _filtered(observation, frames, person, seed=seed, tick=_ticker(len(frames), progress))
-    warnings = [*person.warnings, *_other_persons(tools, frames, walk.states, person.points)]
-    n_blind = int((~walk.is_seen).sum())
-    if n_blind:
-        warnings.append(
-            f"person {PERSON}: too few detections in {n_blind} of {len(frames)} frames; the pose was carried on there "
-            "and its landmarks are marked as not observed"
-        )
-    return _result(observation, frames, walk, person, tuple(warnings))
+        walk = _filtered(clip, prepared, seed=seed, tick=_ticker(len(frames), progress))
+    series = FrameSeries.of_length(len(frames), tools.body)
+    series.states[:], series.observed[:], series.ess_share[:] = walk.states, walk.observed, walk.ess_share
+    if walk.spread is not None:
+        series.fit_covariance[:] = walk.spread
+    series.log_likelihood[:] = np.nan
+    for row in np.flatnonzero(walk.is_seen).tolist():
+        problem = tools.problem(observation_of(frames[row]))
+        series.log_likelihood[row] = float(problem.log_likelihood(walk.states[row][None]).sum())
+    return FollowedPerson(
+        person=prepared.person,
+        tools=tools,
+        height=prepared.height,
+        frames=clip.frames,
+        series=series,
+        is_facing_open=prepared.is_facing_open,
+        n_usable=int(walk.is_seen.sum()),
+        start_frame=prepared.frame,
+        first_pose=prepared.label,
+        information=walk.information,
+        warnings=tuple(_other_persons(prepared, frames, walk.states)),
+    )
 
 
 def _height(given: float | None, points: Sequence[Array], numbers: MarkerStartSettings) -> HeightEstimate:
@@ -189,16 +199,22 @@ def _height(given: float | None, points: Sequence[Array], numbers: MarkerStartSe
 
 @dataclass(frozen=True, eq=False)
 class _First:
-    """The first pose.  label : the kind it grew from."""
+    """The first pose.  label : the kind it grew from.  is_facing_open : as in `Prepared`."""
 
     frame: int
     state: Array
     label: str
-    warnings: tuple[str, ...]
+    is_facing_open: bool
 
 
 def _first_pose(
-    tools: MarkerTools, frames: range, observation_of: ObservationOf, points_of: PointsOf, *, seed: int
+    tools: MarkerTools,
+    frames: range,
+    observation_of: ObservationOf,
+    points_of: PointsOf,
+    *,
+    seed: int,
+    person: int,
 ) -> _First | None:
     """The candidate that explains some frames around its own best; None when no frame shows enough points."""
     numbers, settings = tools.settings.method.marker_start, tools.settings
@@ -206,7 +222,7 @@ def _first_pose(
     brisk = replace(
         brisk, settings=replace(brisk.settings, filter=replace(brisk.settings.filter, name="apf"))
     )
-    clip = _clip(frames, MarkerClipObservation(brisk, observation_of))
+    clip = _clip(frames, MarkerClipObservation(brisk, observation_of), person)
     best: tuple[float, MarkerStart, BeamPath] | None = None
     for frame, points in _start_frames(tools, frames, points_of):
         start = find_starts(
@@ -215,7 +231,7 @@ def _first_pose(
             points,
             frame,
             n=settings.n_first_poses,
-            rng=rng_for(seed, "marker-start", PERSON, frame),
+            rng=rng_for(seed, "marker-start", person, frame),
         )
         row = frame - frames.start
         later = range(row, min(len(frames), row + numbers.trial_frames))
@@ -224,7 +240,7 @@ def _first_pose(
             clip,
             later if len(later) >= len(earlier) else earlier,
             [fit.state for fit in start.fits],
-            rng_of=lambda frame: rng_for(seed, "marker-trial", PERSON, frame),
+            rng_of=lambda frame: rng_for(seed, "marker-trial", person, frame),
             n_hypotheses=settings.n_first_poses,
         )
         gain = float(path.gain.mean())
@@ -235,8 +251,8 @@ def _first_pose(
     _, start, path = best
     state = path.states[0]
     nearest = int(np.argmin([np.abs(tools.difference(f.state, state)).sum() for f in start.fits]))
-    warnings = (_FACING_OPEN,) if _is_facing_open(tools.body, path, numbers) else ()
-    return _First(start.frame, state, start.labels[nearest], warnings)
+    is_facing_open = _is_facing_open(tools.body, path, numbers)
+    return _First(start.frame, state, start.labels[nearest], is_facing_open)
 
 
 def _is_facing_open(body: Body, path: BeamPath, numbers: MarkerStartSettings) -> bool:
@@ -270,8 +286,20 @@ def _start_frames(tools: MarkerTools, frames: range, points_of: PointsOf) -> lis
     return chosen
 
 
-def _clip(frames: range, observation: MarkerClipObservation) -> PersonClip:
-    return PersonClip(PERSON, np.array(frames, dtype=np.int64), None, observation)
+@dataclass(frozen=True, eq=False)
+class MarkerClip(PersonClip):
+    """A person seen by detections."""
+
+    observation: MarkerClipObservation
+
+    @property
+    def span(self) -> range:
+        """The frames, which follow each other."""
+        return range(int(self.frames[0]), int(self.frames[-1]) + 1)
+
+
+def _clip(frames: range, observation: MarkerClipObservation, person: int) -> MarkerClip:
+    return MarkerClip(person, np.array(frames, dtype=np.int64), None, observation)
 
 
 def _faces_alike(body: Body, a: Array, b: Array, cosine: float) -> bool:
@@ -280,8 +308,7 @@ def _faces_alike(body: Body, a: Array, b: Array, cosine: float) -> bool:
 
 
 def _beam_both_ways(
-    observation: MarkerClipObservation,
-    frames: range,
+    clip: MarkerClip,
     start: int,
     state: Array,
     stage: str,
@@ -290,7 +317,8 @@ def _beam_both_ways(
     tick: Callable[[], None],
 ) -> BeamPath:
     """The best path from the start to the end of some frames and back to their beginning, in ascending order."""
-    tools, observation_of = observation.tools, observation.observation_of
+    tools, observation_of = clip.observation.tools, clip.observation.observation_of
+    frames, person = clip.span, clip.person
     numbers = tools.settings.method.marker_start
     points_of = points_of_frames(observation_of, numbers.max_error_px)
 
@@ -298,16 +326,16 @@ def _beam_both_ways(
         points = steady_points(points_of, frame, frames, numbers.steady_m)
         if len(points) < numbers.min_points:
             return ()
-        rng = rng_for(seed, f"{stage}-restart", PERSON, frame)
+        rng = rng_for(seed, f"{stage}-restart", person, frame)
         n = tools.judged_by.n_hypotheses
         return find_starts(tools, observation_of(frame), points, frame, n=n, rng=rng).fits
 
     later, earlier = (
         follow_beam(
-            _clip(frames, observation),
+            clip,
             order,
             [state],
-            rng_of=lambda frame, name=f"{stage}{way}": rng_for(seed, name, PERSON, frame),  # type: ignore[misc]
+            rng_of=lambda frame, name=f"{stage}{way}": rng_for(seed, name, person, frame),  # type: ignore[misc]
             n_hypotheses=tools.judged_by.n_hypotheses,
             restart=restart,
             tick=tick,
@@ -378,28 +406,21 @@ def _walk_of_beam(tools: MarkerTools, path: BeamPath) -> _Walk:
     )
 
 
-def _filtered(
-    observation: MarkerClipObservation,
-    frames: range,
-    person: Prepared,
-    *,
-    seed: int,
-    tick: Callable[[], None],
-) -> _Walk:
+def _filtered(clip: MarkerClip, prepared: Prepared, *, seed: int, tick: Callable[[], None]) -> _Walk:
     """The filter alone, as published: its estimates both ways from the start.  Source: CF 6.4."""
-    alone = replace(observation.tools, settings=replace(observation.tools.settings, look_again=False))
-    clip = _clip(frames, replace(observation, tools=alone))
-    start = person.frame - frames.start
-    state = person.state
+    tools, observation = clip.observation.tools, clip.observation
+    alone = replace(tools, settings=replace(tools.settings, look_again=False))
+    clip = replace(clip, observation=replace(observation, tools=alone))
+    start, state = prepared.frame - clip.span.start, prepared.state
     poses: dict[int, FramePose] = {}
-    for way, order in both_ways(len(frames), start):
+    for way, order in both_ways(len(clip), start):
         # The start is settled on the way forward; the way back goes on from it.
         rows = order if not poses else order[1:]
         for pose in follow_pose(clip, rows, state, seed=seed, stage=f"pose{way}", forgets=True):
             poses[pose.row] = pose
             tick()
         state = poses[start].state
-    walked = [poses[row] for row in range(len(frames))]
+    walked = [poses[row] for row in range(len(clip))]
     return _Walk(
         states=np.array([pose.state for pose in walked]),
         ess_share=np.array([pose.ess_share for pose in walked]),
@@ -409,41 +430,55 @@ def _filtered(
     )
 
 
-def _result(
-    observation: MarkerClipObservation,
-    frames: range,
-    walk: _Walk,
-    person: Prepared,
-    warnings: tuple[str, ...],
-) -> PersonPoses:
-    """Smoothed poses with their uncertainty."""
-    tools = observation.tools
-    body, T = tools.body, len(frames)
-    if walk.information is not None:
-        states, spread = _smoothed(tools, walk.states, walk.information, walk.is_seen)
+def finish_markers(followed: FollowedPerson) -> PersonPoses:
+    """Poses of a person who was followed: smoothed where that is set, with their uncertainty and warnings."""
+    tools, series = followed.tools, followed.series
+    assert isinstance(tools, MarkerTools)
+    body, is_seen = tools.body, np.isfinite(series.log_likelihood)
+    if followed.information is not None:
+        pieces = unbroken(followed.frames)
+        smoothed = [_smoothed(tools, series.states[p], followed.information[p], is_seen[p]) for p in pieces]
+        states, spread = (np.concatenate(parts) for parts in zip(*smoothed, strict=True))
     else:
-        assert walk.spread is not None
-        blind = _blind_variance(tools, walk.is_seen)
-        states, spread = walk.states, walk.spread + blind[:, None, None, None] * np.eye(3)
-    log_likelihood = np.full(T, np.nan)
-    for i in np.flatnonzero(walk.is_seen).tolist():
-        problem = tools.problem(observation.observation_of(frames[i]))
-        log_likelihood[i] = float(problem.log_likelihood(states[i][None]).sum())
+        blind = _blind_variance(tools, is_seen)
+        states, spread = series.states, series.fit_covariance + blind[:, None, None, None] * np.eye(3)
     return PersonPoses(
-        person=PERSON,
+        person=followed.person,
         body=body,
-        height=person.height,
-        frames=np.array(frames, dtype=np.int64),
+        height=followed.height,
+        frames=followed.frames,
         states=states,
         landmarks=landmarks_of(body, states),
         landmark_covariance=spread + tools.settings.method.marker_fit.model_std_m**2 * np.eye(3),
-        observed=walk.observed,
-        log_likelihood=log_likelihood,
-        ess_share=walk.ess_share,
-        start_frame=person.frame,
-        first_pose=person.label,
-        warnings=warnings,
+        observed=series.observed,
+        log_likelihood=series.log_likelihood,
+        ess_share=series.ess_share,
+        start_frame=followed.start_frame,
+        first_pose=followed.first_pose,
+        warnings=_warnings_of(followed),
     )
+
+
+def _warnings_of(followed: FollowedPerson) -> tuple[str, ...]:
+    person, height, warnings = followed.person, followed.height, []
+    if followed.is_facing_open:
+        warnings.append(
+            f"person {person}: it is not clear which way the person faces (two poses explain the detections almost "
+            "equally well); left and right may be exchanged"
+        )
+    if not height.is_measured:
+        warnings.append(
+            f"person {person}: the standing height could not be read from the markers; {height.height_m:.2f} m was "
+            "taken. Remedy: set person_height_m in session.toml"
+        )
+    warnings += followed.warnings
+    n_blind = len(followed.frames) - followed.n_usable
+    if n_blind:
+        warnings.append(
+            f"person {person}: too few detections in {n_blind} of {len(followed.frames)} frames; the pose was carried "
+            "on there and its landmarks are marked as not observed"
+        )
+    return tuple(warnings)
 
 
 def _smoothed(
@@ -476,12 +511,12 @@ def _blind_variance(tools: MarkerTools, is_seen: NDArray[np.bool_]) -> Array:
     return (distance * float(tools.noise_std[0])) ** 2
 
 
-def _other_persons(tools: MarkerTools, frames: range, states: Array, points: dict[int, Array]) -> list[str]:
+def _other_persons(prepared: Prepared, frames: range, states: Array) -> list[str]:
     """A warning when many steady points lie where the person is not."""
-    looked = {f: p for f, p in points.items() if len(p)}
+    looked = {f: p for f, p in prepared.points.items() if len(p)}
     if not looked:
         return []
-    numbers = tools.settings.method.marker_start
+    numbers = prepared.tools.settings.method.marker_start
     n_far = [
         int((np.linalg.norm(p[:, :2] - states[f - frames.start][:2], axis=1) > numbers.other_person_m).sum())
         for f, p in looked.items()
@@ -489,8 +524,8 @@ def _other_persons(tools: MarkerTools, frames: range, states: Array, points: dic
     if np.mean(np.array(n_far) >= numbers.other_points) < numbers.other_share:
         return []
     return [
-        f"more than one person seems to wear markers; only one of them is followed (person {PERSON}). Remedy: record "
-        "one person at a time, or use --observation voxels"
+        f"more than one person seems to wear markers; only one of them is followed (person {prepared.person}). Remedy: "
+        "record one person at a time, or use --observation voxels"
     ]
 
 

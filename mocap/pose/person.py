@@ -12,7 +12,7 @@ from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate
 from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
 from mocap.pose.evidence import PersonClip
-from mocap.pose.follow import FramePose, both_ways, follow_pose, unbroken
+from mocap.pose.follow import follow_both_ways, follow_pose, note, unbroken
 from mocap.pose.limbs import in_doubt
 from mocap.pose.repair import EvidenceOf, repair_limbs
 from mocap.pose.result import FollowedPerson, PersonPoses, warnings_of_volumes
@@ -248,30 +248,10 @@ def _followed(
 ) -> FrameSeries:
     """The poses of all frames, from the first one to the end and back to the beginning."""
     tools = clip.observation.tools
-    start = int(np.searchsorted(clip.frames, first.frame))
     series = FrameSeries.of_length(len(clip), tools.body)
-    for way, order in both_ways(len(clip), start):
-        for pose in follow_pose(clip, order, first.state, seed=seed, stage=f"pose{way}"):
-            if way and pose.row == start:
-                continue  # the start was settled on the way forward
-            note(series, pose.row, pose, tools)
-            if progress is not None:
-                progress(1)
+    for pose in follow_both_ways(clip, first, seed=seed, progress=progress):
+        note(series, pose.row, pose, tools)
     return series
-
-
-def note(series: FrameSeries, row: int, pose: FramePose, tools: VolumeTools) -> None:
-    """A frame's pose into its row of the series."""
-    series.states[row] = pose.state
-    series.fit_covariance[row] = (
-        fit_covariance(tools.body, pose.state, pose.information, tools.settings.method.deviation)
-        if tools.settings.refine
-        else pose.spread
-    )
-    for column in (
-        "misfit", "unexplained", "blind_std", "hidden_std", "observed", "doubtful", "log_likelihood", "ess_share",
-    ):  # fmt: skip
-        getattr(series, column)[row] = getattr(pose, column)
 
 
 def _shifted(evidence_of: Callable[[int], VolumeEvidence | None], by: int) -> EvidenceOf:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +48,9 @@ class FollowedPerson:
     """What the filter has given of one person, frame by frame: nothing is smoothed yet.
 
     tools : the person's body, and the settings with which it was followed.  frames : (T,).  is_facing_open : two first
-    poses explained the volumes almost equally well.  n_usable : frames with a usable hull.  start_frame and
-    first_pose as in `PersonPoses`.
+    poses explained the volumes almost equally well.  n_usable : frames in which enough was seen to judge a pose.
+    start_frame and first_pose as in `PersonPoses`.  information : (T, D, D), inverse covariance of every frame's state,
+    0 where nothing was seen; None where smoothing does not ask for it.  warnings : what following has found out.
     """
 
     person: int
@@ -61,10 +62,17 @@ class FollowedPerson:
     n_usable: int
     start_frame: int
     first_pose: str
+    information: Array | None = None
+    warnings: tuple[str, ...] = ()
 
     @property
     def body(self) -> Body:
         return self.tools.body
+
+    def rows(self, rows: NDArray[np.bool_]) -> FollowedPerson:
+        """Some of the frames, (T,) bool; all of them where something was seen."""
+        information = None if self.information is None else self.information[rows]
+        return replace(self, frames=self.frames[rows], series=self.series.rows(rows), information=information)
 
 
 def motion_of(poses: PersonPoses, fps: float) -> Motion:

@@ -22,7 +22,7 @@ from mocap.body.initial import HeightEstimate
 from mocap.body.stretch import resize_body
 from mocap.data import VoxelGrid
 from mocap.data.problem import ResidualProblem, limbs_of
-from mocap.filters.refine import RefineSettings
+from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.scout import Bonus
 from mocap.likelihood.colours import Appearance, ColourProblem, PixelRays, new_appearance
 from mocap.likelihood.residuals import (
@@ -35,6 +35,7 @@ from mocap.likelihood.residuals import (
     SurfaceProblem,
     hull_surface,
 )
+from mocap.likelihood.residuals.total import SumProblem
 from mocap.likelihood.voxels import (
     PackedVolume,
     PartScores,
@@ -339,6 +340,12 @@ class VolumeEvidence:
                 n_threads=self.tools.n_threads,
             )
         )
+
+    def refined_with(self, state: Array, other: ResidualProblem) -> Array:
+        """A state (D,) moved to a nearby minimum of the residuals and of another cost, nats."""
+        n = self.tools.settings.method.evidence.refine_iterations
+        both = SumProblem((*self.weighted_residuals, (self.m2_per_nat, other)))
+        return refine(both, state, RefineSettings(self.tools.prior_std, n_iterations=n))[0]
 
     def unexplained_share(self, state: Array) -> float:
         """Share of the hull's surface that lies far from the body."""

@@ -1,8 +1,8 @@
 """Followed persons, product `pose-frames`: what the filter has given of every person, before edits and smoothing.
 
-Per frame, of the P persons in it, `person` (P,) int64 and the arrays of `FrameSeries`; bodies and
-what is said of whole persons in the attributes. A person is known by a key of its own: an edit of one leaves the others
-as they are.
+Per frame, of the P persons in it, `person` (P,) int64, the arrays of `FrameSeries` and, where smoothing asks for it,
+`information` (P, D, D); bodies and what is said of whole persons in the attributes. A person is known by a key of its
+own: an edit of one leaves the others as they are.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mocap.body.initial import HeightEstimate
 from mocap.body.model import BodyModel
 from mocap.body.stretch import lengths_of, with_lengths
 from mocap.errors import MocapError
-from mocap.io.store import StageStore
+from mocap.io.store import StageReader, StageStore
 from mocap.pose.deviation import FrameSeries
 from mocap.pose.evidence import PersonTools
 from mocap.pose.result import FollowedPerson
@@ -39,10 +39,14 @@ def store_followed(
         for frame in sorted(set().union(*row_of.values())):
             present = [(r, row_of[r.person][frame]) for r in results if frame in row_of[r.person]]
             columns = {name: np.array([getattr(r.series, name)[i] for r, i in present]) for name in _SERIES}
+            known = [r.information[i] for r, i in present if r.information is not None]
+            if known:
+                columns["information"] = np.array(known)
             out.append(frame, person=np.array([r.person for r, _ in present], dtype=np.int64), **columns)
 
 
 def _about(followed: FollowedPerson, key: str) -> dict[str, Any]:
+    offsets = followed.tools.marker_offsets
     return {
         "key": key,
         "height_m": followed.height.height_m,
@@ -53,15 +57,22 @@ def _about(followed: FollowedPerson, key: str) -> dict[str, Any]:
         "n_usable": followed.n_usable,
         "start_frame": followed.start_frame,
         "first_pose": followed.first_pose,
+        "warnings": list(followed.warnings),
+        "has_information": followed.information is not None,
+        "marker_offset_m": None if offsets is None else offsets.tolist(),
     }
 
 
 def stored_followed(
-    store: StageStore, keys: Mapping[int, str], model: BodyModel, tools_of: Callable[[Body], PersonTools]
+    store: StageStore,
+    keys: Mapping[int, str],
+    model: BodyModel,
+    tools_of: Callable[[Body, NDArray[np.float64] | None], PersonTools],
 ) -> dict[int, FollowedPerson]:
     """The persons that an earlier run has left in the store under their own keys, by number; none where it is damaged.
 
-    model : the body file of all of them.  tools_of : body of a person -> what it is followed with.
+    model : the body file of all of them.  tools_of : body of a person, and where its markers sit -> what it is followed
+    with.
     """
     try:
         reader = store.reader(PRODUCT)
@@ -72,13 +83,7 @@ def stored_followed(
         }
         places = persons_rows(reader) if about else {}
         return {
-            person: _person(
-                person,
-                value,
-                np.array([frame for frame, _ in places[person]], dtype=np.int64),
-                FrameSeries(**columns_of(reader, places[person], _SERIES)),
-                tools_of(with_lengths(scale_body(model, value["height_m"]), value["lengths"])),
-            )
+            person: _person(reader, person, value, places[person], model, tools_of)
             for person, value in about.items()
         }
     except MocapError:
@@ -86,17 +91,30 @@ def stored_followed(
 
 
 def _person(
-    person: int, about: Mapping[str, Any], frames: NDArray[np.int64], series: FrameSeries, tools: PersonTools
+    reader: StageReader,
+    person: int,
+    about: Mapping[str, Any],
+    places: Sequence[tuple[int, int]],
+    model: BodyModel,
+    tools_of: Callable[[Body, NDArray[np.float64] | None], PersonTools],
 ) -> FollowedPerson:
+    """One person of `stored_followed`.  places : as `persons_rows` gives them."""
+    offsets = about["marker_offset_m"]
+    body = with_lengths(scale_body(model, about["height_m"]), about["lengths"])
+    tools = tools_of(body, None if offsets is None else np.array(offsets))
     settings = replace(tools.settings, outline_weight=about["outline_weight"])
+    columns = columns_of(reader, places, (*_SERIES, *(("information",) if about["has_information"] else ())))
+    information = columns.pop("information", None)
     return FollowedPerson(
         person=person,
         tools=replace(tools, settings=settings),
         height=HeightEstimate(about["height_m"], about["height_is_measured"]),
-        frames=frames,
-        series=series,
+        frames=np.array([frame for frame, _ in places], dtype=np.int64),
+        series=FrameSeries(**columns),
         is_facing_open=about["is_facing_open"],
         n_usable=about["n_usable"],
         start_frame=about["start_frame"],
         first_pose=about["first_pose"],
+        information=information,
+        warnings=tuple(about["warnings"]),
     )

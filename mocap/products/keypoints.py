@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.data import Tracks
 from mocap.data.keypoints import N_KEYPOINTS, Figures
 from mocap.io.session import Session
 from mocap.io.store import StageStore
@@ -41,6 +42,24 @@ def persons_in(rows: Iterable[tuple[int, Mapping[str, NDArray[Any]]]]) -> dict[i
         for person in arrays["points_person"].tolist():
             found.setdefault(int(person), []).append(frame)
     return found
+
+
+def stored_figure_tracks(store: StageStore, fps: float) -> Tracks:
+    """The persons as they were associated, before they have poses: each from the first to the last frame in which views
+    agree on it; xyz is the middle of its points, NaN where none agree."""
+    frames, persons, places = [], [], []
+    rows = list(store.reader(PRODUCT))
+    own = {person: (seen[0], seen[-1]) for person, seen in persons_in(rows).items()}
+    for frame, arrays in rows:
+        middle = dict(zip(arrays["points_person"].tolist(), arrays["points"], strict=True))
+        for person in sorted(p for p, (first, last) in own.items() if first <= frame <= last):
+            points = middle.get(person, np.full((1, 3), np.nan))
+            known = points[np.isfinite(points).all(axis=1)]
+            frames.append(frame)
+            persons.append(person)
+            places.append(known.mean(axis=0) if len(known) else np.full(3, np.nan))
+    at = np.array(frames, dtype=np.int64)
+    return Tracks(at, np.array(persons, dtype=np.int64), at / fps, np.reshape(places, (-1, 3)))
 
 
 def keypoints_at(store: StageStore, session: Session, frame: int) -> list[NDArray[np.float64]]:

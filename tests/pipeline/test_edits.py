@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +19,7 @@ from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.run import run_session
 from mocap.pipeline.stage import Job
 from mocap.pipeline.stages import pose as pose_stage
-from mocap.pose.edits import Exchange, Pin, PoseEdits, exchanged
+from mocap.pose.edits import Exchange, Pin, PoseEdits, edited, exchanged
 from mocap.pose.result import FollowedPerson
 from mocap.products.followed import stored_followed
 
@@ -148,10 +146,10 @@ def followed_person(session: Path, out: Path) -> tuple[pose_stage.PoseWork, Foll
     store, opened = StageStore(out / "store.zarr"), open_session(session)
     keys = {int(p): about["key"] for p, about in store.reader("pose-frames").attrs["persons"].items()}
     model = load_body_model(CONFIG.body_model("voxels"))
-    job = Job(opened, CONFIG, store)
-    found = stored_followed(store, keys, model, partial(pose_stage._person_tools, job))
+    work = pose_stage.PoseWork(Job(opened, CONFIG, store))
+    found = stored_followed(store, keys, model, work.tools_of)
     assert sorted(found) == [1, 2]
-    return pose_stage.PoseWork(opened, CONFIG, store), found[1]
+    return work, found[1]
 
 
 def test_a_pin_pulls_a_wrong_wrist_right_and_its_neighbours_follow(session: Path, out: Path) -> None:
@@ -168,7 +166,7 @@ def test_a_pin_pulls_a_wrong_wrist_right_and_its_neighbours_follow(session: Path
     assert apart[list(wrong)].min() > 0.3
     place = right[5]
     pins = PoseEdits(pins=(Pin(int(one.frames[5]), "left_wrist", tuple(place.tolist())),))
-    mended = work.edited(one, pins, Edits())
+    mended = edited(one, pins, work.evidence_of(one))
     left = np.linalg.norm(landmarks_of(body, mended.series.states)[:, wrist] - right, axis=1)
     assert left[5] < 0.02
     assert left[list(wrong)].max() < 0.1, "the evidence carries the arm to the frames beside"
@@ -178,7 +176,7 @@ def test_a_pin_pulls_a_wrong_wrist_right_and_its_neighbours_follow(session: Path
 
 def test_bad_frames_are_bridged_and_grow_uncertain(session: Path, out: Path) -> None:
     work, one = followed_person(session, out)
-    mended = work.edited(one, PoseEdits(bad=(range(3, 7),)), Edits())
+    mended = edited(one, PoseEdits(bad=(range(3, 7),)), work.evidence_of(one))
     plain = ~one.body.layout.is_circular
     steps = np.diff(mended.series.states[2:8, plain], axis=0)
     np.testing.assert_allclose(steps, np.tile(steps[:1], (5, 1)), atol=1e-12, err_msg="straight on")
@@ -272,14 +270,6 @@ def test_a_pin_in_two_pictures_is_where_their_rays_meet(session: Path, out: Path
     text = with_edit("", {"do": "pin", "person": 1, "landmark": "head", "frame": 3, "seen_px": seen})
     (pin,) = placed(parse_edits(text, Path("edits.toml")), rig, CONFIG.method.edits).edit
     np.testing.assert_allclose(pin.place_m, point[0], atol=1e-4)
-
-
-def test_edits_of_keypoints_alone_are_refused(session: Path, out: Path) -> None:
-    edit(out, do="bad", frames="1:2")
-    opened = replace(open_session(session), keypoint_sources={"cam_0": session / "keypoints" / "cam_0.csv"})
-    config = CONFIG.model_copy(update={"observation": "keypoints"})
-    with pytest.raises(MocapError, match="only runs on volumes can be edited"):
-        run_session(opened, out, config=config)
 
 
 def test_the_file_grows_and_shrinks_edit_by_edit() -> None:

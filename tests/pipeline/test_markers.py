@@ -22,7 +22,7 @@ from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.pose_settings import make_marker_tools
 from mocap.pipeline.run import run_session
 from mocap.pose.marker import MarkerTools
-from mocap.pose.marker_person import flesh_centroids, follow_markers
+from mocap.pose.marker_person import finish_markers, flesh_centroids, follow_markers
 from mocap.pose.marker_start import height_from_points, points_of_frames, steady_points
 from mocap.pose.result import PersonPoses
 
@@ -51,13 +51,14 @@ def tools_of(height_m: float) -> MarkerTools:
 def follow(world: MarkerWorld, *more: str, seed: int = 0, preset: str = "default") -> PersonPoses | None:
     views = marker_views(world.rig)
     observations = [observe(views, d) for d in world.detections]
-    return follow_markers(
+    found = follow_markers(
         range(len(observations)),
         lambda frame: observations[frame],
         lambda height_m: make_marker_tools(config(*more, preset=preset), FPS, height_m),
         height_m=None,
         seed=seed,
     )
+    return None if found is None else finish_markers(found)
 
 
 @cache
@@ -116,10 +117,11 @@ def test_empty_frames_are_carried_on_and_flagged() -> None:
     observations = [observe(views, empty if i in gap else d) for i, d in enumerate(world.detections)]
     found = follow_markers(range(N_FRAMES), lambda f: observations[f], tools_of, height_m=None, seed=0)
     assert found is not None
-    assert not found.observed[list(gap)].any()
-    assert np.isfinite(found.landmarks).all()
-    assert any("too few detections in 5 of 24 frames" in w for w in found.warnings)
-    variance = np.einsum("tlcc->t", found.landmark_covariance)
+    poses = finish_markers(found)
+    assert not poses.observed[list(gap)].any()
+    assert np.isfinite(poses.landmarks).all()
+    assert any("too few detections in 5 of 24 frames" in w for w in poses.warnings)
+    variance = np.einsum("tlcc->t", poses.landmark_covariance)
     assert variance[16] > 2 * variance[8]
 
 

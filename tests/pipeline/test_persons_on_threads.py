@@ -11,6 +11,7 @@ from mocap.io.session import open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
+from mocap.pipeline.stage import Job
 from mocap.pipeline.stages import pose
 from mocap.pose.result import PersonPoses
 from mocap.products.tracks import stored_tracks
@@ -40,15 +41,10 @@ def test_two_persons_on_two_threads_are_those_of_one(
 
     def poses(n_threads: int) -> list[PersonPoses]:
         said.clear()
-        return pose.estimate_poses(
-            session,
-            config,
-            store,
-            both,
-            seed=3,
-            n_threads=n_threads,
-            progress=lambda *what: said.append(what[1]),
+        job = Job(
+            session, config, store, seed=3, n_threads=n_threads, progress=lambda *what: said.append(what[1])
         )
+        return pose.estimate_poses(job, both)
 
     alone, together = poses(1), poses(2)
     assert said == list(range(1, len(both) + 1))

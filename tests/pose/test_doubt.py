@@ -61,7 +61,7 @@ def test_each_reason_is_named_where_it_is() -> None:
         (range(109, 114), "left wrist jumps"),
         (range(120, 124), "right shoulder, right elbow, right wrist and others not observed"),
         (range(130, 131), "left ankle uncertain"),
-        (range(140, 141), "the pose explains the volume badly"),
+        (range(140, 141), "the pose explains what was seen badly"),
         (range(150, 152), "nothing was seen of the person"),
     ]
     for doubt in found:

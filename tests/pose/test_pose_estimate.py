@@ -24,9 +24,8 @@ from mocap.pose.deviation import (
     limb_misfit,
     widened,
 )
-from mocap.pose.follow import FramePose, point_estimate, unbroken
+from mocap.pose.follow import FramePose, note, point_estimate, unbroken
 from mocap.pose.method import UNCERTAINTY, DeviationSettings, Method
-from mocap.pose.person import note
 from mocap.pose.smooth import smooth_motion
 
 BODY = scale_body(load_body_model("anthropometric"), 1.77)

@@ -4,28 +4,40 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mocap.errors import MocapError
+from mocap.data import Tracks
 from mocap.io.session import Session
-from mocap.pipeline.chains import WITH_VOLUMES, observation_kind
+from mocap.io.store import StageStore
+from mocap.pipeline.chains import WITH_VOLUMES
 from mocap.pipeline.config import Config
-from mocap.pipeline.edits.meaning import placed
+from mocap.pipeline.edits.meaning import edited_tracks, placed
 from mocap.pipeline.edits.model import EDITS_FILE, Edits, edits_in
+from mocap.pipeline.stages.markers import wearer_tracks
+from mocap.products.keypoints import stored_figure_tracks
+from mocap.products.tracks import stored_tracks
 
 
 def with_edits(config: Config, out: Path, session: Session) -> Config:
     """The configuration with the edits that lie beside a result, pins placed in the world.
 
-    session : with the cameras as they filmed. Raises MocapError for edits of a run that knows none.
+    session : with the cameras as they filmed.
     """
     found = edits_in(out)
     edits = config.edits if found is None else found
-    if edits and observation_kind(session, config) not in WITH_VOLUMES:
-        raise MocapError(
-            "only runs on volumes can be edited, and this one finds poses from markers or keypoints alone",
-            path=edits.file,
-            remedy="take the file away, or correct detections or keypoints themselves",
-        )
     return config.model_copy(update={"edits": placed(edits, session.rig, config.method.edits)})
+
+
+def tracks_before(store: StageStore, kind: str, frames: range, fps: float) -> Tracks:
+    """The tracks of a run as they were before edits.  kind : of CHAINS.  frames : of the run."""
+    if kind == "markers":
+        return wearer_tracks(frames, fps)
+    return stored_figure_tracks(store, fps) if kind == "keypoints" else stored_tracks(store, fps)
+
+
+def tracks_after(store: StageStore, kind: str, session: Session, edits: Edits) -> Tracks:
+    """The tracks of a run, called as the edits say; chains without volumes store them so."""
+    if kind in WITH_VOLUMES:
+        return edited_tracks(store, session, edits)
+    return stored_tracks(store, session.fps)
 
 
 def hand_words(edits: Edits) -> str:

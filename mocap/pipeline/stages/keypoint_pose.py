@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.body import load_body_model, scale_body
+from mocap.body import Body, load_body_model, scale_body
 from mocap.body.keypoints import place_keypoints
 from mocap.data import CameraRig, Tracks
 from mocap.data.keypoints import N_KEYPOINTS
@@ -18,54 +19,93 @@ from mocap.io.store import StageStore
 from mocap.likelihood.keypoints import KeypointViews
 from mocap.likelihood.markers import MarkerViews, marker_views, undistort
 from mocap.pipeline.config import Config
+from mocap.pipeline.edits.followed import solve_persons
 from mocap.pipeline.pose_settings import pose_settings
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
-from mocap.pipeline.stages.pose import poses_report
+from mocap.pipeline.stages.pose import poses_report, tracks_of_flesh
+from mocap.pose.edits import EvidenceOf
 from mocap.pose.evidence import PersonTools
-from mocap.pose.keypoint import ViewsOf
-from mocap.pose.keypoint_person import PersonKeypoints, follow_keypoints
-from mocap.pose.marker_person import flesh_centroids
-from mocap.pose.result import PersonPoses
+from mocap.pose.keypoint import KeypointEvidence, KeypointObservation, KeypointTools, ViewsOf
+from mocap.pose.keypoint_person import PersonKeypoints, finish_keypoints, follow_keypoints, keypoint_tools
+from mocap.pose.result import FollowedPerson, PersonPoses
+from mocap.products import followed as followed_product
 from mocap.products import keypoints as keypoints_product
 from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
-from mocap.products.keypoints import persons_in
-from mocap.products.poses import store_poses
+from mocap.products.keypoints import stored_figure_tracks
 from mocap.products.tracks import stored_tracks, track_row
 from mocap.tracking.figures import FigureSettings, View2D, deviation_px
+from mocap.tracking.renaming import Renaming, renamed
+
+Array = NDArray[np.float64]
 
 
 def keypoint_pose_stage(job: Job) -> None:
     """Poses and tracks of all persons whose keypoints two views or more agree on."""
-    session, config = job.session, job.config
-    frames = persons_in(job.store.reader(keypoints_product.PRODUCT))
-    model = config.body_model("keypoints")
-    n_total = sum(own[-1] - own[0] + 1 for own in frames.values())
-    done = 0
-
-    def tick(n: int) -> None:
-        nonlocal done
-        done += n
-        job.progress("pose", done, n_total)
-
-    results = []
-    for person, own in frames.items():
-        seen = PersonKeypoints(
-            person, np.arange(own[0], own[-1] + 1), views_of_person(session, config, job.store, person)
-        )
-        found = follow_keypoints(
-            seen,
-            lambda height_m: person_tools(config, session.fps, height_m),
-            height_m=config.body.height_m or load_body_model(model).height_m or session.person_height_m,
-            seed=job.seed,
-            progress=tick,
-        )
-        results += [] if found is None else [found]
-    tracks = _tracks_of(results, session.fps)
+    session = job.session
+    found = stored_figure_tracks(job.store, session.fps)
+    results = solve_persons(job, found, "keypoints", partial(KeypointWork, job))
+    tracks = tracks_of_flesh(results, session.fps)
     with job.writer(tracks_product.PRODUCT) as out:
         for frame in session.frames:
             out.append(frame, **track_row(tracks, frame))
-    store_poses(job.store, job.key, model, results)
+
+
+@dataclass(frozen=True, eq=False)
+class KeypointWork:
+    """What persons are followed in: the figures in the store, called as the edits say. Implements `PersonsWork`."""
+
+    job: Job
+    renamings: Sequence[Renaming] = ()
+
+    def tools_of(self, body: Body, marker_offsets: Array | None) -> KeypointTools:
+        """What a person is followed with whose body and offsets are known already."""
+        config = self.job.config
+        settings = pose_settings(config.pose, config.method, body.layout)
+        return keypoint_tools(PersonTools(body, self.job.session.fps, settings, 1), marker_offsets)
+
+    def views_of(self, person: int) -> ViewsOf:
+        """frame -> what the cameras say of a person."""
+        job = self.job
+        return views_of_person(job.session, job.config, job.store, person, self.renamings)
+
+    def evidence_of(self, one: FollowedPerson) -> EvidenceOf:
+        """Row of a person -> its keypoints, with the body of that person."""
+        assert isinstance(one.tools, KeypointTools)
+        observation = KeypointObservation(one.tools, self.views_of(one.person))
+
+        def evidence_of(row: int) -> KeypointEvidence | None:
+            views = observation.prepare(int(one.frames[row]))
+            return None if views is None else observation.evidence(views)
+
+        return evidence_of
+
+    def follow(self, tracks: Tracks) -> list[FollowedPerson]:
+        """Every person who can be followed, one after the other."""
+        session, config = self.job.session, self.job.config
+        given = load_body_model(config.body_model("keypoints")).height_m
+        done = 0
+
+        def tick(n: int) -> None:
+            nonlocal done
+            done += n
+            self.job.progress("pose", done, len(tracks))
+
+        results = [
+            follow_keypoints(
+                PersonKeypoints(person, tracks.of(person).frame, self.views_of(person)),
+                lambda height_m: person_tools(config, session.fps, height_m),
+                height_m=config.body.height_m or given or session.person_height_m,
+                seed=self.job.seed,
+                progress=tick,
+            )
+            for person in tracks.persons
+        ]
+        return [one for one in results if one is not None]
+
+    def finished(self, one: FollowedPerson) -> PersonPoses:
+        """The smoothed poses of a followed person."""
+        return finish_keypoints(one)
 
 
 def person_tools(config: Config, fps: float, height_m: float) -> PersonTools:
@@ -74,25 +114,31 @@ def person_tools(config: Config, fps: float, height_m: float) -> PersonTools:
     return PersonTools(body, fps, pose_settings(config.pose, config.method, body.layout), 1)
 
 
-def views_of_person(session: Session, config: Config, store: StageStore, person: int) -> ViewsOf:
-    """frame -> what the cameras say of a person, with the deviation of every keypoint at the person's distance."""
+def views_of_person(
+    session: Session, config: Config, store: StageStore, person: int, renamings: Sequence[Renaming] = ()
+) -> ViewsOf:
+    """frame -> what the cameras say of a person, with the deviation of every keypoint at the person's distance.
+
+    renamings : what persons are called.
+    """
     reader = store.reader(keypoints_product.PRODUCT)
     views, slack_m = marker_views(session.rig), keypoint_slack_m(config)
 
     @lru_cache(maxsize=256)
     def views_of(frame: int) -> KeypointViews | None:
         arrays = reader.read(frame)
-        at = np.flatnonzero(arrays["points_person"] == person)
+        at = np.flatnonzero(renamed(arrays["points_person"], frame, renamings) == person)
         if not len(at):
             return None
         middle = np.nanmean(arrays["points"][at[0]], axis=0)
-        own = [figure_at(arrays, int(i), session.rig) for i in np.flatnonzero(arrays["person"] == person)]
+        is_own = renamed(arrays["person"], frame, renamings) == person
+        own = [figure_at(arrays, int(i), session.rig) for i in np.flatnonzero(is_own)]
         return person_views(own, middle, views, slack_m)
 
     return views_of
 
 
-def keypoint_slack_m(config: Config) -> NDArray[np.float64]:
+def keypoint_slack_m(config: Config) -> Array:
     """How far every keypoint moves against its segment, (K,) m."""
     body = scale_body(load_body_model(config.body_model("keypoints")), 1.0)
     return place_keypoints(body).slack_m
@@ -105,7 +151,7 @@ def figure_at(arrays: Mapping[str, NDArray[Any]], i: int, rig: CameraRig) -> Vie
 
 
 def person_views(
-    figures: Sequence[View2D], place: NDArray[np.float64], views: MarkerViews, slack_m: NDArray[np.float64]
+    figures: Sequence[View2D], place: Array, views: MarkerViews, slack_m: Array
 ) -> KeypointViews:
     """What the figures of a person at a place (3,) m say, with the deviation of every keypoint there."""
     uv, noise = np.full((views.n_views, N_KEYPOINTS, 2), np.nan), np.ones((views.n_views, N_KEYPOINTS))
@@ -116,17 +162,6 @@ def person_views(
         own = deviation_px(FigureSettings(), f.confidence, depth, focal)
         noise[c] = np.hypot(own, slack_m * focal / max(depth, 0.1))
     return KeypointViews(views.P, uv, noise)
-
-
-def _tracks_of(results: list[PersonPoses], fps: float) -> Tracks:
-    """The persons' paths: centres of their flesh."""
-    frame = np.concatenate([np.zeros(0, dtype=np.int64), *(p.frames for p in results)])
-    person: NDArray[np.int64] = np.concatenate(
-        [np.zeros(0, dtype=np.int64), *(np.full(len(p.frames), p.person, dtype=np.int64) for p in results)]
-    )
-    xyz = np.concatenate([np.zeros((0, 3)), *(flesh_centroids(p.body, p.states) for p in results)])
-    order = np.lexsort((person, frame))
-    return Tracks(frame[order], person[order], frame[order] / fps, xyz[order])
 
 
 def keypoint_pose_report(job: Job) -> StageReport:
@@ -143,11 +178,11 @@ _NOBODY = (
 KEYPOINT_POSE = Stage(
     name="pose",
     until="pose",
-    products=(tracks_product.PRODUCT, poses_product.PRODUCT),
+    products=(tracks_product.PRODUCT, followed_product.PRODUCT, poses_product.PRODUCT),
     work=ClipWork(keypoint_pose_stage),
     report=keypoint_pose_report,
     needs=("keypoints",),
-    sections=("body", "pose", "method"),
+    sections=("body", "pose", "method", "edits"),
     facts=("fps", "person_height_m"),
     is_random=lambda config: True,
 )

@@ -21,14 +21,12 @@ from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.likelihood.colours import PixelRays, person_rays
 from mocap.likelihood.residuals import OutlineFitSettings, Outlines, person_outlines, pinhole_view
-from mocap.pipeline.config import Config, config_hash
-from mocap.pipeline.edits.meaning import check_reach, pose_edits_of, renamings_of
-from mocap.pipeline.edits.model import Edits
+from mocap.pipeline.edits.followed import solve_persons
 from mocap.pipeline.pose_settings import make_tools, pose_settings
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.pose.deviation import widened
-from mocap.pose.edits import PoseEdits, edited
 from mocap.pose.evidence import PersonTools
+from mocap.pose.marker_person import flesh_centroids
 from mocap.pose.person import VolumeClip, finish_person, follow_frames
 from mocap.pose.result import FollowedPerson, PersonPoses, motion_numbers
 from mocap.pose.steps import gait_numbers, gait_of, warnings_of_gait
@@ -45,16 +43,14 @@ from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
-from mocap.products.followed import store_followed, stored_followed
 from mocap.products.hulls import measured_from_arrays, pixels_from_arrays, rig_offset_m, stored_grid
 from mocap.products.masks import masks_from_arrays
 from mocap.products.occluders import stored_occluders
 from mocap.products.owners import owners_at
-from mocap.products.poses import store_poses, stored_poses
+from mocap.products.poses import stored_poses
 from mocap.products.tracks import stored_tracks
-from mocap.progress import Progress
 from mocap.threads import in_parallel
-from mocap.tracking.renaming import Renaming, renamed, renamed_tracks, sources_of
+from mocap.tracking.renaming import Renaming, renamed
 from mocap.volume import surface_voxels
 
 
@@ -77,54 +73,26 @@ def volumes_alone(tools: VolumeTools, hull_of: HullOf, person: int) -> VolumeObs
 
 
 def solve_poses(job: Job, observation_of: ObservationOf, others: str = "") -> None:
-    """Follow every tracked person, work in the edits, and put the frames and the poses into the store.
-
-    A person whom an earlier run has left in the store, and whom no edit of tracks concerns, is not followed again.
-    others : what of other persons decides how one is followed.
-    """
-    config, edits = job.config, job.config.edits
+    """Poses of every person in the stored tracks, from volumes, into the store.  others : as in `solve_persons`."""
     found = stored_tracks(job.store, job.session.fps)
-    renamings = renamings_of(edits, found, job.session.frames)
-    tracks = renamed_tracks(found, renamings)
-    orders = pose_edits_of(edits, tracks, job.session.frames)
-    keys = {
-        p: config_hash(job.unedited_key, repr(sources_of(found, renamings, p)), others)
-        for p in tracks.persons
-    }
-    model = load_body_model(config.body_model("voxels"))
-    kept = stored_followed(job.store, keys, model, partial(_person_tools, job)) if job.is_resumed else {}
-    work = PoseWork(job.session, config, job.store, renamings, observation_of)
-    wanted = tracks.of(*(p for p in tracks.persons if p not in kept))
-    followed = follow_tracks(work, wanted, seed=job.seed, n_threads=job.n_threads, progress=job.progress)
-    every = sorted([*kept.values(), *followed], key=lambda one: one.person)
-    results = [finished(work, work.edited(one, orders.get(one.person), edits)) for one in every]
-    # Both or none: an edit that cannot be leaves the store as it was.
-    store_followed(job.store, job.key, every, keys)
-    store_poses(job.store, job.key, config.body_model("voxels"), results)
-
-
-def _person_tools(job: Job, body: Body) -> PersonTools:
-    settings = pose_settings(job.config.pose, job.config.method, body.layout)
-    return PersonTools(body, job.session.fps, settings, 1)
+    solve_persons(job, found, "voxels", lambda renamings: PoseWork(job, renamings, observation_of), others)
 
 
 @dataclass(frozen=True, eq=False)
 class PoseWork:
-    """What persons are followed in: products in the store, called as the edits say."""
+    """What persons are followed in: products in the store, called as the edits say. Implements `PersonsWork`."""
 
-    session: Session
-    config: Config
-    store: StageStore
+    job: Job
     renamings: Sequence[Renaming] = ()
     observation_of: ObservationOf = volumes_alone
 
     def tools(self, height_m: float, n_threads: int) -> VolumeTools:
         """Tools of a person of a height."""
-        config = self.config
+        config = self.job.config
         model = config.body_model("voxels")
         return make_tools(
-            stored_grid(self.store),
-            self.session.fps,
+            stored_grid(self.job.store),
+            self.job.session.fps,
             height_m,
             model,
             config.pose,
@@ -133,16 +101,18 @@ class PoseWork:
             config.method,
         )
 
+    def tools_of(self, body: Body, marker_offsets: NDArray[np.float64] | None = None) -> PersonTools:
+        """What a person is followed with whose body is known already, less its look-up table."""
+        config = self.job.config
+        settings = pose_settings(config.pose, config.method, body.layout)
+        return PersonTools(body, self.job.session.fps, settings, 1)
+
     def hull_of(self, person: int) -> HullOf:
         """frame -> the voxels of a person."""
-        return hulls_of_person(self.session, self.store, person, self.renamings)
+        return hulls_of_person(self.job.session, self.job.store, person, self.renamings)
 
-    def edited(self, one: FollowedPerson, orders: PoseEdits | None, edits: Edits) -> FollowedPerson:
-        """A followed person with its edits worked in. Raises MocapError for a pin that no limb can reach."""
-        if orders is None:
-            return one
-        limit_m = self.config.method.edits.reach_m
-        check_reach(edits, one.person, one.body, one.frames, one.series.states, limit_m)
+    def evidence_of(self, one: FollowedPerson) -> Callable[[int], VolumeEvidence | None]:
+        """Row of a person -> its hull with the body of that person."""
         tools = self.tools(one.height.height_m, 1).with_body(one.body)
         weight = one.tools.settings.outline_weight
         tools = replace(tools, settings=replace(tools.settings, outline_weight=weight))
@@ -153,75 +123,60 @@ class PoseWork:
             prepared = observation.prepare(int(one.frames[row]))
             return None if prepared is None else observation.evidence(prepared)
 
-        return edited(one, orders, evidence_of)
+        return evidence_of
+
+    def follow(self, tracks: Tracks) -> list[FollowedPerson]:
+        """Every tracked person.
+
+        Several persons share the threads, one each; a single one has them all. The result is the same.
+        """
+        config, session = self.job.config, self.job.session
+        grid, n_threads = stored_grid(self.job.store), self.job.n_threads
+        given = (
+            config.body.height_m
+            or load_body_model(config.body_model("voxels")).height_m
+            or session.person_height_m
+        )
+        n_of_person = n_threads if len(tracks.persons) < 2 else 1
+        n_total = len(tracks)
+        done, counting = 0, Lock()
+
+        def tick(n: int) -> None:
+            nonlocal done
+            with counting:
+                done += n
+                self.job.progress("pose", done, n_total)
+
+        def followed_of(person: int) -> FollowedPerson:
+            own = tracks.of(person)
+            hull_of = self.hull_of(person)
+            height = (
+                HeightEstimate(given, True)
+                if given is not None
+                else estimate_height(grid, hull_of, own.frame.tolist())
+            )
+            tools = self.tools(height.height_m, n_of_person)
+            return follow_frames(
+                VolumeClip(person, own.frame, own.xyz, self.observation_of(tools, hull_of, person)),
+                height,
+                seed=self.job.seed,
+                is_size_fitted=given is None and config.body.sizing == "poses" and config.pose.refine,
+                progress=tick,
+            )
+
+        return in_parallel(followed_of, tracks.persons, n_threads)
+
+    def finished(self, one: FollowedPerson) -> PersonPoses:
+        """The poses of a followed person, as uncertain as the cameras' agreement leaves them."""
+        poses, numbers = finish_person(one), self.job.config.method.deviation
+        covariance = widened(poses.landmark_covariance, rig_offset_m(self.job.store), numbers)
+        return replace(poses, landmark_covariance=covariance)
 
 
-def estimate_poses(
-    session: Session,
-    config: Config,
-    store: StageStore,
-    tracks: Tracks,
-    *,
-    seed: int,
-    n_threads: int,
-    progress: Progress,
-    observation_of: ObservationOf = volumes_alone,
-) -> list[PersonPoses]:
+def estimate_poses(job: Job, tracks: Tracks) -> list[PersonPoses]:
     """Poses of every tracked person, one filter each, from the products of the earlier stages in the store."""
-    work = PoseWork(session, config, store, observation_of=observation_of)
-    followed = follow_tracks(work, tracks, seed=seed, n_threads=n_threads, progress=progress)
-    return [finished(work, one) for one in followed]
-
-
-def follow_tracks(
-    work: PoseWork, tracks: Tracks, *, seed: int, n_threads: int, progress: Progress
-) -> list[FollowedPerson]:
-    """Every tracked person, followed.
-
-    Several persons share the threads, one each; a single one has them all. The result is the same.
-    """
-    config, session = work.config, work.session
-    grid = stored_grid(work.store)
-    given = (
-        config.body.height_m
-        or load_body_model(config.body_model("voxels")).height_m
-        or session.person_height_m
-    )
-    n_of_person = n_threads if len(tracks.persons) < 2 else 1
-    n_total = len(tracks)
-    done, counting = 0, Lock()
-
-    def tick(n: int) -> None:
-        nonlocal done
-        with counting:
-            done += n
-            progress("pose", done, n_total)
-
-    def followed_of(person: int) -> FollowedPerson:
-        own = tracks.of(person)
-        hull_of = work.hull_of(person)
-        height = (
-            HeightEstimate(given, True)
-            if given is not None
-            else estimate_height(grid, hull_of, own.frame.tolist())
-        )
-        tools = work.tools(height.height_m, n_of_person)
-        return follow_frames(
-            VolumeClip(person, own.frame, own.xyz, work.observation_of(tools, hull_of, person)),
-            height,
-            seed=seed,
-            is_size_fitted=given is None and config.body.sizing == "poses" and config.pose.refine,
-            progress=tick,
-        )
-
-    return in_parallel(followed_of, tracks.persons, n_threads)
-
-
-def finished(work: PoseWork, one: FollowedPerson) -> PersonPoses:
-    """The poses of a followed person, as uncertain as the cameras' agreement leaves them."""
-    poses = finish_person(one)
-    covariance = widened(poses.landmark_covariance, rig_offset_m(work.store), work.config.method.deviation)
-    return replace(poses, landmark_covariance=covariance)
+    work = PoseWork(job)
+    return [work.finished(one) for one in work.follow(tracks)]
 
 
 def hulls_of_person(
@@ -313,6 +268,17 @@ def surface_towards_air(voxels: Voxels, unknown: Voxels, grid: VoxelGrid) -> NDA
         return surface_voxels(voxels, grid)
     both = np.union1d(voxels, unknown)
     return surface_voxels(both, grid)[np.searchsorted(both, voxels)]
+
+
+def tracks_of_flesh(results: Sequence[PersonPoses], fps: float) -> Tracks:
+    """The persons' paths: centres of their flesh."""
+    frame = np.concatenate([np.zeros(0, dtype=np.int64), *(p.frames for p in results)])
+    person: NDArray[np.int64] = np.concatenate(
+        [np.zeros(0, dtype=np.int64), *(np.full(len(p.frames), p.person, dtype=np.int64) for p in results)]
+    )
+    xyz = np.concatenate([np.zeros((0, 3)), *(flesh_centroids(p.body, p.states) for p in results)])
+    order = np.lexsort((person, frame))
+    return Tracks(frame[order], person[order], frame[order] / fps, xyz[order])
 
 
 def poses_report(job: Job) -> StageReport:
