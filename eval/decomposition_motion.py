@@ -1,8 +1,9 @@
-"""The published orders once more, in frames of weak and of strong motion apart, from the committed cells.
+"""The published orders once more from the committed cells: in weak and in strong motion apart, and over scenes.
 
 A film of the reported tables has both: its weak motion is half as fast as the filters' walk, its strong motion as
-fast. No filter runs again; every cell keeps its error over either kind of frames.
-Writes eval/results/decomposition_motion.csv, one line per published order.
+fast. No filter runs again; every cell keeps its error over either kind of frames. "scenes" is over all frames as the
+tables are, but its intervals draw whole scenes instead of runs: an order decided so may be expected of other scenes.
+Writes eval/results/decomposition_motion.csv, one line per published order and count.
 
     python -m eval.decomposition_motion
 
@@ -17,7 +18,13 @@ import sys
 from collections.abc import Iterable, Sequence
 
 from eval import decomposition_sw_tables, decomposition_xn_4, decomposition_xn_5, decomposition_xn_6
-from eval.decomposition.statistics import Claim, share_that_holds
+from eval.decomposition.statistics import (
+    Claim,
+    Compare,
+    ratio_of_means,
+    ratio_over_scenes,
+    share_that_holds,
+)
 from eval.decomposition.store import RESULTS, Row, cell_key, read_rows
 from eval.decomposition.tables import CLAIM_FIELDS, Seeds, Table, claim_line, claims_of
 from eval.whole import write_csv
@@ -28,15 +35,20 @@ SCRIPTS = {
     "xn_5": decomposition_xn_5.tables,
     "xn_6": decomposition_xn_6.tables,
 }
-MOTIONS = {"all": "error_px", "weak": "error_weak_px", "strong": "error_strong_px"}
-FIELDS = ("motion", *CLAIM_FIELDS)
+COUNTS: dict[str, tuple[str, Compare]] = {
+    "all": ("error_px", ratio_of_means),
+    "weak": ("error_weak_px", ratio_of_means),
+    "strong": ("error_strong_px", ratio_of_means),
+    "scenes": ("error_px", ratio_over_scenes),
+}
+FIELDS = ("count", *CLAIM_FIELDS)
 REPORTED = Seeds(scenes=tuple(range(5)), runs=tuple(range(4)), n_workers=1, is_full=False, n_frames=150)
 
 
-def claims_in(table: Table, rows: Iterable[Row], motion: str) -> list[Claim]:
-    """The orders of a table by the errors in frames of one kind of motion."""
-    field = MOTIONS[motion]
-    return claims_of(table, [row | {"error_px": row[field]} for row in rows if row[field]])
+def claims_in(table: Table, rows: Iterable[Row], count: str) -> list[Claim]:
+    """The orders of a table, counted in one of the ways."""
+    field, compare = COUNTS[count]
+    return claims_of(table, [row | {"error_px": row[field]} for row in rows if row[field]], compare)
 
 
 def committed(name: str) -> list[tuple[Table, list[Row]]]:
@@ -55,16 +67,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args(argv)
     lines = []
-    for motion in MOTIONS:
+    for count in COUNTS:
         claims = [
             claim
             for name in SCRIPTS
             for table, rows in committed(name)
-            for claim in claims_in(table, rows, motion)
+            for claim in claims_in(table, rows, count)
         ]
-        lines += [{"motion": motion, **claim_line(claim)} for claim in claims]
+        lines += [{"count": count, **claim_line(claim)} for claim in claims]
         n, holds, firm, against = share_that_holds(claims)
-        sys.stdout.write(f"{motion}: {holds} of {n} hold, {firm} decided for, {against} against\n")
+        sys.stdout.write(f"{count}: {holds} of {n} hold, {firm} decided for, {against} against\n")
     write_csv(RESULTS / "decomposition_motion.csv", FIELDS, lines)
 
 

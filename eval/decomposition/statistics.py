@@ -93,20 +93,45 @@ class Ratio:
         return "no" if self.low > 1.0 else "open"
 
 
-def ratio_of_means(better: Sequence[Row], worse: Sequence[Row]) -> Ratio:
-    """Ratio of the mean errors over the runs that both have (same scene and seed), paired bootstrap over runs.
+Compare = Callable[[Sequence[Row], Sequence[Row]], Ratio]
 
-    NaN without common runs.
-    """
+
+def _paired(better: Sequence[Row], worse: Sequence[Row]) -> tuple[list[str], Array, Array]:
+    """Scenes and both errors of the runs that both have (same scene and seed)."""
     one = {(r["scene_seed"], r["run_seed"]): float(r["error_px"]) for r in better if r["status"] == "ok"}
     two = {(r["scene_seed"], r["run_seed"]): float(r["error_px"]) for r in worse if r["status"] == "ok"}
     common = sorted(one.keys() & two.keys())
-    if not common:
+    return (
+        [scene for scene, _ in common],
+        np.array([one[k] for k in common]),
+        np.array([two[k] for k in common]),
+    )
+
+
+def _drawn_ratio(a: Array, b: Array, n: int) -> Ratio:
+    """Ratio of the means of paired errors with its bootstrap interval; n : runs behind it. NaN without any."""
+    if not len(a):
         return Ratio(float("nan"), float("nan"), float("nan"), 0)
-    a, b = np.array([one[k] for k in common]), np.array([two[k] for k in common])
     picks = np.random.default_rng(_SEED).integers(0, len(a), (_N_BOOTSTRAP, len(a)))
     low, high = np.quantile(a[picks].mean(axis=1) / b[picks].mean(axis=1), [0.025, 0.975])
-    return Ratio(float(a.mean() / b.mean()), float(low), float(high), len(a))
+    return Ratio(float(a.mean() / b.mean()), float(low), float(high), n)
+
+
+def ratio_of_means(better: Sequence[Row], worse: Sequence[Row]) -> Ratio:
+    """Ratio of the mean errors over the runs that both have, paired bootstrap over runs: of these scenes.
+
+    NaN without common runs.
+    """
+    _, a, b = _paired(better, worse)
+    return _drawn_ratio(a, b, len(a))
+
+
+def ratio_over_scenes(better: Sequence[Row], worse: Sequence[Row]) -> Ratio:
+    """The same with whole scenes drawn instead of runs, so that it speaks of other scenes as well."""
+    scenes, a, b = _paired(better, worse)
+    rows = [np.array([s == scene for s in scenes]) for scene in dict.fromkeys(scenes)]
+    means = [np.array([errors[own].mean() for own in rows]) for errors in (a, b)]
+    return _drawn_ratio(means[0], means[1], len(a))
 
 
 @dataclass(frozen=True)
@@ -138,11 +163,12 @@ def claims_between(
     cell_fields: Sequence[str],
     pairs: Callable[[tuple[str, ...]], Iterable[tuple[str, str, float]]],
     name_of: Callable[[Row], str],
+    compare: Compare = ratio_of_means,
 ) -> list[Claim]:
     """Claims of every cell of a table.
 
     cell_fields : fields that tell the cells apart.  pairs : (better, worse, published ratio) of a cell.
-    name_of : what a row's method is called.
+    name_of : what a row's method is called.  compare : the ratio of two groups of runs.
     """
     found = []
     for cell, own in grouped(rows, *cell_fields).items():
@@ -151,7 +177,7 @@ def claims_between(
             by_name.setdefault(name_of(row), []).append(row)
         for better, worse, published in pairs(cell):
             if better in by_name and worse in by_name:
-                ours = ratio_of_means(by_name[better], by_name[worse])
+                ours = compare(by_name[better], by_name[worse])
                 words = ", ".join(f"{_SHORT.get(f, f)}={v}" for f, v in zip(cell_fields, cell, strict=True))
                 found.append(Claim(source, words, better, worse, published, ours))
     return found

@@ -14,9 +14,11 @@ from eval.decomposition.cells import Cell, RunKey, SceneKey
 from eval.decomposition.readings import READINGS
 from eval.decomposition.statistics import (
     Claim,
+    Compare,
     claims_between,
     group,
     grouped,
+    ratio_of_means,
     share_that_holds,
 )
 from eval.decomposition.store import RESULTS, STORE, Row, read_rows, run_cells, write_cells
@@ -46,6 +48,10 @@ class Seeds:
     n_frames: int = 0
     only: tuple[str, ...] = ()
     scheduler: str = ""
+
+    def with_runs(self, least: int) -> Seeds:
+        """As many runs on each scene, but no fewer."""
+        return replace(self, runs=tuple(range(max(least, len(self.runs)))))
 
     def from_scene(self, first: int) -> Seeds:
         """As many scenes, counted from another one."""
@@ -150,9 +156,14 @@ def _computed(cells: Sequence[Cell], seeds: Seeds, store: Path) -> list[Row]:
     return run_cells(cells, n_workers=seeds.n_workers, scheduler=seeds.scheduler, path=store)
 
 
-def claims_of(table: Table, rows: Sequence[Row]) -> list[Claim]:
+def claims_of(table: Table, rows: Sequence[Row], compare: Compare = ratio_of_means) -> list[Claim]:
     return claims_between(
-        table.name, rows, cell_fields=table.cell_fields, pairs=table.pairs, name_of=table.name_of
+        table.name,
+        rows,
+        cell_fields=table.cell_fields,
+        pairs=table.pairs,
+        name_of=table.name_of,
+        compare=compare,
     )
 
 
