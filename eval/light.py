@@ -103,7 +103,8 @@ def evaluate(folder: Path, step: int) -> dict[str, dict[str, float]]:
                 masks = [a.mask for a in answers]
                 counts[name] += _overlap(masks, cameras, i)
                 if name == "ours" and look is not None:
-                    counts[LOOK] += _overlap(look.masks(masks, [a.shadow for a in answers]), cameras, i)
+                    looked = look.masks(masks, [a.shadow for a in answers], [a.doubtful for a in answers])
+                    counts[LOOK] += _overlap(looked, cameras, i)
         found[condition] = {name: hit / max(union, 1) for name, (hit, union) in counts.items()}
     return found
 

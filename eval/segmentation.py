@@ -141,7 +141,7 @@ def evaluate(folder: Path, step: int) -> dict[str, dict[str, float]]:
             masks = {m: [f.mask for f in found]}
             if m == "ours" and look is not None:
                 begun = time.thread_time()
-                masks[LOOK] = look.masks(masks[m], [f.shadow for f in found])
+                masks[LOOK] = look.masks(masks[m], [f.shadow for f in found], [f.doubtful for f in found])
                 times[LOOK].append(times[m][-1] + (time.thread_time() - begun) / len(found))
             for name, own in masks.items():
                 for mask, view in zip(own, cameras, strict=True):

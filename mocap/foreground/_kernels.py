@@ -106,8 +106,10 @@ def free_statistics(samples, cover, far, mean, std, n_free):
 
 
 CELL = 16  # side of the square cells that are searched for differences, px
-FOREGROUND = np.uint8(1)
-SHADOW = np.uint8(2)
+SHADOW, DOUBTFUL = (
+    np.uint8(1),
+    np.uint8(2),
+)  # a shadow; foreground that has a shadow's own darkness and colour
 _LEVELS = 16  # fixed point of colour residuals: 1/16 grey level at best
 _RATIO = 1024  # fixed point of brightness ratios
 _SATURATED = 250  # grey level from which on a value may stand for a brighter one
@@ -331,7 +333,7 @@ class ShadowRule(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shadow_test(rows, background, place, candidate, rule, foreground, shadow):
-    """Splits candidates by a ShadowRule: foreground = 1 or shadow = 1.
+    """Splits candidates by a ShadowRule: foreground = 1 or shadow = SHADOW; shadow = DOUBTFUL where (a) alone holds.
 
     rows, background : (H, 3 W) uint8.  place : (y0, x0, w), corner and width of the window.  candidate : (h, at least
     w) uint8, 0 or 1, columns a multiple of 8: the window, candidates only in its first w columns.  foreground, shadow :
@@ -459,7 +461,8 @@ def shadow_test(rows, background, place, candidate, rule, foreground, shadow):
         for i in range(zero, n):
             yes = np.uint8(total[0, i] >= 0)
             foreground[y, x + i] = candidate[y, x + i] * yes
-            shadow[y, x + i] = candidate[y, x + i] * (np.uint8(1) - yes)
+            doubtful = yes * DOUBTFUL * np.uint8(may[y, x + side + i])
+            shadow[y, x + i] = candidate[y, x + i] * ((np.uint8(1) - yes) * SHADOW + doubtful)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

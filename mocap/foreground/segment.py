@@ -122,12 +122,14 @@ class ForegroundMask:
     """One segmented picture.
 
     mask : (H, W) bool, the person.  shadow : (H, W) bool, darker than the background but of its colour.
+    doubtful : (H, W) bool, pixels of the mask that are so as well, and were kept for their surroundings' sake.
     foreground_share, shadow_share : shares of the picture.
     is_usable : False when the foreground fills so much of the picture that the background must be wrong.
     """
 
     mask: Mask
     shadow: Mask
+    doubtful: Mask
     foreground_share: float
     shadow_share: float
     is_usable: bool
@@ -233,7 +235,7 @@ class Segmenter:
             raw = self._subtractor.apply(image, learningRate=_OPENCV_RATE[self.settings.method])
             raw[self._outside != 0] = 0
             kept = clean_mask(raw == 255, self.settings)
-            return self._answer(kept.astype(np.uint8), ((raw == 127) & ~kept).astype(np.uint8))
+            return self._answer(kept.astype(np.uint8), (raw == 127).astype(np.uint8))
         # The kernels are compiled for writable contiguous arrays; any other kind would be compiled anew.
         rows = np.require(image, requirements=("C", "W")).reshape(self.shape[0], -1)
         if self.settings.compensate_gain:
@@ -255,7 +257,7 @@ class Segmenter:
             )
 
     def _joined(self, pieces: list[tuple[_Window, Bytes, _Regions]], shadow: Bytes) -> Bytes:
-        """The mask (H, W) of all windows without small regions; what is foreground is no shadow."""
+        """The mask (H, W) of all windows without small regions; no shadow is kept beyond their closer looks."""
         mask = np.zeros(self.shape[:2], dtype=np.uint8)
         least = self.settings.min_area_px * _area_scale(self.shape)
         for _, _, regions in pieces:
@@ -267,14 +269,15 @@ class Segmenter:
             _kernels.paint_regions(found, regions.runs, regions.n_runs, drop, 0)
             width = window.x1 - window.x0
             mask[window.slices] = found[:, :width]
-            shadow[window.slices] &= found[:, :width] ^ 1
             self._near[window.slices] |= cv2.dilate(found, _square(5))[:, :width]
         return mask
 
-    def _answer(self, mask: Bytes, shadow: Bytes) -> ForegroundMask:
+    def _answer(self, mask: Bytes, dark: Bytes) -> ForegroundMask:
+        """dark : (H, W) uint8, SHADOW or DOUBTFUL; what is foreground is no shadow."""
         share = cv2.countNonZero(mask) / mask.size
+        shadow, doubtful = (dark == _kernels.SHADOW) & (mask == 0), (dark > 0) & (mask != 0)
         return ForegroundMask(
-            mask.view(np.bool_), shadow.view(np.bool_), share, cv2.countNonZero(shadow) / mask.size,
+            mask.view(np.bool_), shadow, doubtful, share, np.count_nonzero(shadow) / mask.size,
             share <= self.settings.max_foreground_share,
         )  # fmt: skip
 
@@ -398,8 +401,8 @@ class Segmenter:
     def _split(self, rows: Bytes, window: _Window, shadow: Bytes) -> tuple[_Window, Bytes, _Regions]:
         """Where in the window foreground is, that part as (h, w) uint8 of 0 and 1, and its regions.
 
-        shadow : (H, W) uint8, written inside the window.  w is rounded up to multiples of 8; columns beyond the
-        picture are 0.
+        shadow : (H, W) uint8, SHADOW or DOUBTFUL, written inside the window.  w is rounded up to multiples of 8;
+        columns beyond the picture are 0.
         """
         s = self.settings
         width = window.x1 - window.x0
@@ -426,7 +429,7 @@ class Segmenter:
         if self._covered.size:
             always = self._covered[window.slices]
             foreground[:, :width] |= always
-            dark[:, :width] &= always ^ 1
+            dark[:, :width] *= always ^ 1
             np.maximum(largest[:, :width], always * round(s.strong_difference + 1), out=largest[:, :width])
         shadow[window.slices] = dark[:, :width]
         # Specks in the shadow would be joined to the person by the closing.
@@ -442,7 +445,7 @@ class Segmenter:
             np.ascontiguousarray(p[rows_of, columns_of]) for p in (foreground, dark, solid, largest)
         )
         _trim_outline(inside, far, s, self.shape)
-        found = _closed(inside, dark_inside, differs, far, self._weak_level, s, self.shape)
+        found = _closed(inside, dark_inside & _kernels.SHADOW, differs, far, self._weak_level, s, self.shape)
         y, x = window.y0 + rows_of.start, window.x0 + columns_of.start
         inner = _Window(y, y + found.shape[0], x, min(x + found.shape[1], self.shape[1]))
         return inner, found, _regions(found, _strong(far, s), 1)

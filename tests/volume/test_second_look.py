@@ -1,4 +1,4 @@
-"""Shadows that are none, told by the other cameras: what stands comes back, what lies on the floor does not."""
+"""What is a shadow and what a person, told by the other cameras: what stands comes back, what lies at feet goes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_what_two_cameras_took_for_shadow_comes_back(look: SecondLook, persons: 
     shadows = nothing(persons)
     for c in (0, 2):
         shadows[c] = middle_of(persons[c])
-    again = look.masks([p & ~s for p, s in zip(persons, shadows, strict=True)], shadows)
+    again = look.masks([p & ~s for p, s in zip(persons, shadows, strict=True)], shadows, nothing(persons))
     for found, person, shadow in zip(again, persons, shadows, strict=True):
         assert np.array_equal(found & ~shadow, person & ~shadow)
         assert not shadow.any() or (found & shadow).sum() > 0.8 * shadow.sum()
@@ -51,7 +51,7 @@ def test_what_two_cameras_took_for_shadow_comes_back(look: SecondLook, persons: 
 def test_a_shadow_on_the_floor_stays_one(look: SecondLook, persons: list[np.ndarray]) -> None:
     """It begins at the feet, and its part behind the person is seen between his legs by nobody else."""
     shadows = [on_floor(i, AT + np.array([0.35, 0.2]), 0.4) & ~person for i, person in enumerate(persons)]
-    for again, person in zip(look.masks(persons, shadows), persons, strict=True):
+    for again, person in zip(look.masks(persons, shadows, nothing(persons)), persons, strict=True):
         assert np.array_equal(again, person)
 
 
@@ -62,7 +62,7 @@ def test_a_shadow_on_a_wall_that_one_camera_sees_stays_one(
     shadows = nothing(persons)
     near = cv2.dilate(persons[1].astype(np.uint8), np.ones((1, 31), np.uint8)) > 0
     shadows[1] = near & ~persons[1]
-    again = look.masks(persons, shadows)
+    again = look.masks(persons, shadows, nothing(persons))
     close = cv2.dilate(persons[1].astype(np.uint8), np.ones((2 * VOXEL_PX + 1,) * 2, np.uint8)) > 0
     assert not (again[1] & ~close).any()
     assert np.count_nonzero(again[1] & ~persons[1]) < 0.1 * np.count_nonzero(shadows[1])
@@ -73,12 +73,50 @@ def test_most_cameras_must_see_the_person(look: SecondLook, persons: list[np.nda
     n = len(persons) // 2 + 1
     shadows = [middle_of(p) if c < n else np.zeros_like(p) for c, p in enumerate(persons)]
     masks = [p & ~s for p, s in zip(persons, shadows, strict=True)]
-    middle = [again & s for again, s in zip(look.masks(masks, shadows), shadows, strict=True)]
+    found = look.masks(masks, shadows, nothing(persons))
+    middle = [again & s for again, s in zip(found, shadows, strict=True)]
     assert sum(int(m.sum()) for m in middle) < 0.25 * sum(int(s.sum()) for s in shadows)
 
 
+@pytest.fixture(scope="module")
+def at_feet(persons: list[np.ndarray]) -> list[np.ndarray]:
+    """Contact shadows of 3 cm about the feet, as all cameras see them."""
+    return [on_floor(i, AT, 0.23) & ~person for i, person in enumerate(persons)]
+
+
+def test_a_contact_shadow_goes_and_the_person_stays(
+    look: SecondLook, persons: list[np.ndarray], at_feet: list[np.ndarray]
+) -> None:
+    """Also when all of him is as dark as a shadow. What lies within a voxel of him, 4 cm, may be taken for him."""
+    masks = [person | shadow for person, shadow in zip(persons, at_feet, strict=True)]
+    again = look.masks(masks, nothing(persons), masks)
+    gone = sum(np.count_nonzero(s & ~m) for m, s in zip(again, at_feet, strict=True))
+    assert gone > 0.25 * sum(map(np.count_nonzero, at_feet))
+    kept = sum(np.count_nonzero(p & m) for m, p in zip(again, persons, strict=True))
+    assert kept > 0.99 * sum(map(np.count_nonzero, persons))
+
+
+def test_what_has_not_the_colour_of_a_shadow_stays(
+    look: SecondLook, persons: list[np.ndarray], at_feet: list[np.ndarray]
+) -> None:
+    masks = [person | shadow for person, shadow in zip(persons, at_feet, strict=True)]
+    for again, mask in zip(look.masks(masks, nothing(persons), nothing(persons)), masks, strict=True):
+        assert np.array_equal(again, mask)
+
+
+def test_where_others_see_the_floor_bare_nothing_goes(
+    look: SecondLook, persons: list[np.ndarray], at_feet: list[np.ndarray]
+) -> None:
+    """Feet that furniture hides from two cameras are no contact shadow for a third."""
+    masks = [person | shadow for person, shadow in zip(persons, at_feet, strict=True)]
+    masks[1:] = persons[1:]
+    again = look.masks(masks, nothing(persons), at_feet)
+    bare = np.count_nonzero(at_feet[0] & ~again[0])
+    assert bare < 0.25 * np.count_nonzero(at_feet[0])
+
+
 def test_an_empty_room_stays_empty(look: SecondLook, persons: list[np.ndarray]) -> None:
-    assert not any(mask.any() for mask in look.masks(nothing(persons), nothing(persons)))
+    assert not any(mask.any() for mask in look.masks(*(nothing(persons) for _ in range(3))))
 
 
 def test_too_few_cameras_are_refused() -> None:

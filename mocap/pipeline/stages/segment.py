@@ -105,7 +105,7 @@ def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[R
     shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
     masks = [m.mask for m in found]
     if state.look is not None:
-        masks = state.look.masks(masks, [m.shadow for m in found])
+        masks = state.look.masks(masks, [m.shadow for m in found], [m.doubtful for m in found])
     return state, replace(seen, masks=masks), [Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))]
 
 
@@ -114,7 +114,7 @@ def _segmented(segmenter: Segmenter, picture: NDArray[np.uint8]) -> ForegroundMa
     if len(picture):
         return segmenter.segment(picture)
     nothing = np.zeros(segmenter.shape[:2], dtype=np.bool_)
-    return ForegroundMask(nothing, nothing, 0.0, 0.0, is_usable=False)
+    return ForegroundMask(nothing, nothing, nothing, 0.0, 0.0, is_usable=False)
 
 
 def _finish(state: _Segmenting) -> Ending:
