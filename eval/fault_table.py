@@ -199,8 +199,10 @@ def write_clip(path: Path, pictures: Clip, fps: float = 30.0) -> None:
     writer.release()
 
 
-def prepared(name: str, work: Path, size: tuple[int, int], seed: int | None = None) -> Path:
-    """A healthy session of N_FRAMES frames, synthesised when it is not there yet."""
+def prepared(
+    name: str, work: Path, size: tuple[int, int], seed: int | None = None, n_frames: int = N_FRAMES
+) -> Path:
+    """A healthy session of some frames, synthesised when it is not there yet."""
     root = work / f"{name}{'' if seed is None else f'_{seed}'}_{size[0]}"
     if not (root / "truth" / "truth.json").exists():
         from mocap.synth import synthesise
@@ -208,7 +210,7 @@ def prepared(name: str, work: Path, size: tuple[int, int], seed: int | None = No
 
         scene = load_scene(name).model_dump(mode="json")
         rig = {**scene["rig"], "size_px": list(size)}
-        scene = {**scene, "n_frames": N_FRAMES, "truth_voxels": False, "rig": rig}
+        scene = {**scene, "n_frames": n_frames, "truth_voxels": False, "rig": rig}
         synthesise(scene_from_dict(scene), root, seed=seed, workers=1)
     return root
 

@@ -73,6 +73,28 @@ PROMISES = (
         ("tests/pipeline/test_one_output_folder.py",),
     ),
     Promise(
+        "kills",
+        "A run that is killed at any instant goes on to the bytes of one that never was",
+        "12 kills of a run that goes on from each, outputs and store compared",
+        ("tests/pipeline/test_kills.py",),
+        is_slow=True,
+    ),
+    Promise(
+        "pieces",
+        "A recording run in pieces and joined is the run of the whole but for the smoothing window",
+        "two people whose numbers are exchanged in the later piece; pieces of others, gaps, other settings",
+        ("tests/pipeline/test_join.py",),
+    ),
+    Promise(
+        "long",
+        "A long recording takes no more memory nor disk for its pictures, and says how long it will take",
+        "scene and report of more frames than they show; lines of progress",
+        (
+            "tests/pipeline/test_one_output_folder.py::test_of_a_long_recording_the_scene_shows_every_so_many_frames",
+            "tests/cli/test_cluster_words.py::test_the_time_left_is_that_of_what_was_done_since_the_stage_began",
+        ),
+    ),
+    Promise(
         "keys",
         "A product is reused only for what it was made of; `--rehash` distrusts even the file system",
         "every setting, fact, file and camera changed, one at a time",
@@ -87,7 +109,7 @@ PROMISES = (
     Promise(
         "strangers",
         "Whatever a file holds, reading it ends in a value or in one message",
-        "10,000 damaged files of 41 kinds",
+        "10,000 damaged files of 49 kinds",
         (
             "tests/io/test_files_from_strangers.py::"
             "test_ten_thousand_damaged_files_of_every_kind_give_a_value_or_a_message",

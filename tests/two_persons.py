@@ -17,7 +17,7 @@ CONFIG = load_config("default", (*PLAIN, "output.formats=[]", "pose.look_again=f
 
 
 @cache
-def two_persons_session(base: Path) -> Path:
+def two_persons_session(base: Path, n_frames: int = N_FRAMES) -> Path:
     """Two people who stand apart and move their arms; made once in a process. Never change it: copy it."""
     pytest.importorskip("embreex", reason="rendering needs the extra synth (embreex)")
     from mocap.synth import synthesise
@@ -26,7 +26,7 @@ def two_persons_session(base: Path) -> Path:
     scene = {
         "name": "two",
         "seed": 22,
-        "n_frames": N_FRAMES,
+        "n_frames": n_frames,
         "fps": FPS,
         "n_background_frames": 2,
         "rig": {"n_cameras": len(CAMERAS), "size_px": list(SIZE)},
@@ -36,14 +36,15 @@ def two_persons_session(base: Path) -> Path:
             {"seed": 6, "motion": {"kind": "walk", "center_m": [0.8, 0.0], "radii_m": [0.3, 0.4]}},
         ],
     }
-    made = synthesise(scene_from_dict(scene), base / "two_persons" / "made", workers=1)
-    return copy_session(made, base / "two_persons" / "session", masks=True)
+    folder = base / f"two_persons_{n_frames}"
+    made = synthesise(scene_from_dict(scene), folder / "made", workers=1)
+    return copy_session(made, folder / "session", masks=True)
 
 
 @cache
 def two_persons_run(base: Path) -> Path:
     """A run on it. Never change it: copy it."""
-    out = base / "two_persons" / "out"
+    out = base / f"two_persons_{N_FRAMES}" / "out"
     run_session(two_persons_session(base), out, config=CONFIG)
     return out
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli import calibrate, cluster, compare, edit, init, live, run, sync, synth, tools
+from mocap.cli import calibrate, cluster, compare, edit, init, join, live, run, sync, synth, tools
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
 from mocap.portable import Stopped, find_kernel_cache, stoppable
@@ -29,6 +29,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "carve": run.carve,
     "track": run.track,
     "pose": run.pose,
+    "join": join.join,
     "eval": compare.evaluate,
     "edit": edit.edit,
     "export": tools.export,

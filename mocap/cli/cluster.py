@@ -41,12 +41,21 @@ def batch(
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Same seed, same bytes.")] = 0,
     frames: Annotated[str | None, typer.Option("--frames", help="a:b, frames a to b - 1.")] = None,
+    pieces: Annotated[
+        int,
+        typer.Option(
+            "--pieces", min=1, help="Cut every recording into so many, run side by side and joined."
+        ),
+    ] = 1,
+    overlap: Annotated[
+        float, typer.Option("--overlap", min=0.0, help="Seconds that neighbouring pieces share.")
+    ] = 2.0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     threads: CellThreadsOption = 1,
 ) -> None:
     """Many sessions, one run each, and a table of scores; finished runs are not repeated."""
-    from mocap.pipeline.cluster import find_sessions, run_batch
+    from mocap.pipeline.cluster import Pieces, find_sessions, run_batch
 
     found = find_sessions(sessions)
     typer.echo(f"{len(found)} session{'s' * (len(found) != 1)} into {out}")
@@ -59,6 +68,7 @@ def batch(
             settings=settings or (),
             seed=seed,
             frames=parse_frames(frames),
+            pieces=Pieces(pieces, overlap),
             n_threads=threads,
             progress=cell_progress("batch"),
         )

@@ -150,6 +150,8 @@ def _gone(differs: Mask, mean: NDArray[np.float32], usual: NDArray[np.float32]) 
             continue
         region = (labels == i).astype(np.uint8)
         rim = cv2.morphologyEx(region, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)) > 0
+        if not rim.any():  # the whole picture: there is no room left to compare with
+            continue
         if then[rim].mean() > _STRONGER * now[rim].mean():
             out |= cv2.dilate(region, np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)) > 0
     return out

@@ -106,6 +106,7 @@ def run_again(
     """The run in `out` once more, with its settings, seed and frames and the edits that lie beside it; what does not
     depend on them is taken over."""
     record = read_record(out)
+    _check_not_joined(record, out)
     return run_session(
         session,
         out,
@@ -127,6 +128,7 @@ def check_edits(out: Path, edits: Edits) -> None:
     Raises MocapError for edits that cannot be.
     """
     record = read_record(out)
+    _check_not_joined(record, out)
     store = StageStore(out / "store.zarr")
     check_one_run(out, tracks_product.PRODUCT)
     tracks = tracks_before(store, record.kind, record.frames, record.fps)
@@ -183,6 +185,15 @@ def read_record(out: Path) -> RunRecord:
         raise MocapError(
             "the folder holds no result of a run", path=path, remedy="run `mocap run SESSION -o OUT` first"
         ) from error
+
+
+def _check_not_joined(record: RunRecord, out: Path) -> None:
+    if record.is_joined:
+        raise MocapError(
+            "the run was joined from pieces, and is edited in them",
+            path=out,
+            remedy="edit the pieces with `mocap edit PIECE`, apply it, and join them again",
+        )
 
 
 def _check_same(record: RunRecord, session: Session, out: Path) -> None:

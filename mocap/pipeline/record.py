@@ -18,6 +18,8 @@ from mocap.pose.result import PersonPoses, motion_of
 
 # Besides the stages, outputs take time: tables, exports, scene and report.
 OUTPUTS = "report"
+# What stands among the stages of a run that was joined from runs of pieces.
+JOIN = "join"
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,11 @@ class RunRecord:
     def reused(self) -> tuple[str, ...]:
         """Stages that were not computed anew."""
         return tuple(stage.name for stage in self.stages if stage.wall_s is None)
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether it was joined from runs of pieces; no stage can be run again then."""
+        return any(stage.name == JOIN for stage in self.stages)
 
     @property
     def numbers(self) -> dict[str, Mapping[str, Any]]:

@@ -105,7 +105,7 @@ def run_session(
     with sole_use(out, command), compilation_shown(job.progress):
         try:
             steps = list(_steps(job, kind, until, resume=resume, rehash=rehash))
-            return _publish(job, out, _collect(job, kind, until), steps, until=until, command=command)
+            return publish_run(job, out, found_in(job, kind, until), steps, until=until, command=command)
         finally:
             job.store.remove_unfinished()
 
@@ -137,7 +137,7 @@ def _steps(
         yield StageRecord(stage.name, keys[stage.name], walls_s.get(stage.name), report.numbers), report
 
 
-def _collect(job: Job, kind: str, until: str) -> Found:
+def found_in(job: Job, kind: str, until: str) -> Found:
     """Tracks and poses out of the store, as far as the run went."""
     products = {product for stage in stages_until(kind, until) for product in stage.products}
     return Found(
@@ -151,7 +151,7 @@ def _collect(job: Job, kind: str, until: str) -> Found:
     )
 
 
-def _publish(
+def publish_run(
     job: Job,
     out: Path,
     found: Found,
@@ -223,7 +223,7 @@ def _record(
         config=job.config,
         code=code_hash(),
         stages=tuple(stage for stage, _ in steps),
-        product_keys={product: stage.key for stage, _ in steps for product in products[stage.name]},
+        product_keys={product: stage.key for stage, _ in steps for product in products.get(stage.name, ())},
         warnings=(),
         scores=scores,
         versions=versions(),

@@ -121,12 +121,13 @@ def fit_covariance(body: Body, state: Array, information: Array, settings: Devia
     return np.asarray(np.einsum("lri,ij,lcj->lrc", J, np.linalg.inv(information + np.diag(weak)), J))
 
 
-def widened(covariance: Array, rig_offset_m: float, settings: DeviationSettings) -> Array:
+def widened(covariance: Array, rig_offset_m: float | Array, settings: DeviationSettings) -> Array:
     """Covariances (T, M, 3, 3) m^2 where the cameras do not agree with each other: nobody knows which are right.
 
-    rig_offset_m : by how much their lines of sight miss each other, 0 = they agree.
+    rig_offset_m : by how much their lines of sight miss each other, 0 = they agree; of the clip or of every frame (T,).
     """
-    return np.asarray(covariance + (settings.per_rig_offset * rig_offset_m) ** 2 * np.eye(3))
+    offset = np.reshape(rig_offset_m, (-1, 1, 1, 1))
+    return np.asarray(covariance + (settings.per_rig_offset * offset) ** 2 * np.eye(3))
 
 
 def fit_information(cost: float, normal_matrix: Array, n_points: int, correlated: float) -> Array:

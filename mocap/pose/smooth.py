@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,15 +43,29 @@ def smooth_motion(body: Body, series: FrameSeries, fps: float, lag: int, method:
         contacts = contacts_of(smoothed[:, sole], variance[:, sole], fps, method.contact)
         smoothed[:, sole] = held(smoothed[:, sole], contacts, method.contact.hold_s * fps)
         weight[:, sole] += (method.contact.hold - 1.0) * contacts.hold
-    states = np.empty_like(series.states)
+    fits = [
+        PointFit(body, joint, offset, places, np.sqrt(own)[:, None])
+        for places, own in zip(smoothed, weight, strict=True)
+    ]
+    return _fitted(fits, series.states, numbers.n_iterations)
+
+
+def carried_over(states: Array, body: Body, other: Body, method: Method) -> Array:
+    """States (T, D) of another size of the same body, whose points stay where they are as well as its lengths allow."""
+    joint, offset = _handles(body, method.smooth.handle_m)
+    fits = [PointFit(other, joint, offset, point_jacobian(body, s, joint, offset)[0]) for s in states]
+    return _fitted(fits, states, method.smooth.n_iterations)
+
+
+def _fitted(fits: Sequence[PointFit], starts: Array, n_iterations: int) -> Array:
+    """States (T, D) of the fits of frames, each from its own start (T, D) or the frame before."""
+    states = np.empty_like(starts)
     settings = RefineSettings(
-        prior_std=np.full(body.layout.n_columns, 1e3), residual_std_m=1.0, n_iterations=numbers.n_iterations
+        prior_std=np.full(starts.shape[1], 1e3), residual_std_m=1.0, n_iterations=n_iterations
     )
-    for i in range(len(series)):
-        problem = PointFit(body, joint, offset, smoothed[i], np.sqrt(weight[i])[:, None])
-        starts = [series.states[i], *([states[i - 1]] if i else [])]
-        start = min(starts, key=problem.cost)
-        states[i] = refine(problem, start, settings)[0]
+    for i, fit in enumerate(fits):
+        start = min([starts[i], *([states[i - 1]] if i else [])], key=fit.cost)
+        states[i] = refine(fit, start, settings)[0]
     return states
 
 

@@ -76,18 +76,26 @@ def stored_followed(
     """
     try:
         reader = store.reader(PRODUCT)
-        about = {
-            int(name): value
-            for name, value in reader.attrs["persons"].items()
-            if keys.get(int(name)) == value["key"]
-        }
-        places = persons_rows(reader) if about else {}
-        return {
-            person: _person(reader, person, value, places[person], model, tools_of)
-            for person, value in about.items()
-        }
+        about = reader.attrs["persons"]
+        persons = [int(name) for name, value in about.items() if keys.get(int(name)) == value["key"]]
+        return read_followed(reader, persons, model, tools_of)
     except MocapError:
         return {}
+
+
+def read_followed(
+    reader: StageReader,
+    persons: Sequence[int],
+    model: BodyModel,
+    tools_of: Callable[[Body, NDArray[np.float64] | None], PersonTools],
+) -> dict[int, FollowedPerson]:
+    """Some persons of the product, by number; arguments as of `stored_followed`. Raises MocapError for damage."""
+    places = persons_rows(reader) if persons else {}
+    about = reader.attrs["persons"]
+    return {
+        person: _person(reader, person, about[str(person)], places[person], model, tools_of)
+        for person in persons
+    }
 
 
 def _person(
@@ -98,7 +106,7 @@ def _person(
     model: BodyModel,
     tools_of: Callable[[Body, NDArray[np.float64] | None], PersonTools],
 ) -> FollowedPerson:
-    """One person of `stored_followed`.  places : as `persons_rows` gives them."""
+    """One person of the product.  places : as `persons_rows` gives them."""
     offsets = about["marker_offset_m"]
     body = with_lengths(scale_body(model, about["height_m"]), about["lengths"])
     tools = tools_of(body, None if offsets is None else np.array(offsets))

@@ -27,9 +27,24 @@ from mocap.volume.consistency import (
     Snapshot,
 )
 from mocap.volume.rig_agreement import MaskSample, Misfit, rig_agreement
+from mocap.volume.rig_doubts import doubt_rig
 
 Array = NDArray[np.float64]
-Kind = Literal["moved", "lag", "rate", "frozen", "black", "blind", "misfit", "scene", "calibration", "rig"]
+Kind = Literal[
+    "moved",
+    "lag",
+    "rate",
+    "frozen",
+    "black",
+    "blind",
+    "misfit",
+    "scene",
+    "calibration",
+    "rig",
+    "exchanged",
+    "repeats",
+    "flicker",
+]
 
 # The fit. Prices are in units of the usual unexplained share (at least 1 % of the mask): a change of state must save
 # twelve such frames, and a lag must be better than none by a fifth of one in every frame.
@@ -61,6 +76,11 @@ _MIN_POINTS = 6
 _N_LOOKS = 16
 # One camera of seven off by so much costs less than doing without it (`python -m eval.fault_table`: 1.3 and 1.7 cm).
 _HARMLESS_M = 0.025
+_SEVERAL = 3  # cameras that see somebody, so that there should be a volume
+# Pictures given twice, of those that would tell; jumps of brightness against the last picture, and their share. Healthy
+# cameras of the development scenes have 0 to 2 % of the first and none of the others.
+_REPEATED_SHARE = 0.1
+_JUMP, _JUMP_SHARE = 0.1, 0.25
 _STILL_SHARE = 0.6  # of the snapshots in which a cell is foreground
 
 
@@ -72,11 +92,12 @@ class CameraFault:
     black; blind (it sees nobody where the others see a person); misfit (its masks do not fit, for a reason that the
     masks do not tell); scene (camera "": several cameras at once, so the light or the room has changed); calibration
     (it stands elsewhere than its calibration says, all the time); rig (camera "": cameras disagree all the time, and
-    it cannot be told which).
+    it cannot be told which); exchanged (it films what another one, `exchanged_with`, should); repeats (some pictures
+    are those before); flicker (its brightness jumps from picture to picture).
     first_frame, last_frame : inclusive.  is_to_end : last_frame is the last of the recording.
     shift_px : how far the picture's background, or else its silhouettes, moved (u, v).
     offset_m : by how much lines of sight miss at the people, of calibration and rig.  turn_deg, shift_m : the rotation,
-    or else the shift, that a camera is off by.
+    or else the shift, that a camera is off by.  share : of the pictures that repeat or jump.
     """
 
     camera: str
@@ -90,13 +111,18 @@ class CameraFault:
     offset_m: float = 0.0
     turn_deg: float = 0.0
     shift_m: float = 0.0
+    exchanged_with: str = ""
+    share: float = 0.0
 
     @property
     def is_harmless(self) -> bool:
         """Whether the camera is worth more than what is wrong with it.
 
-        Clocks that differ by half a frame look like a lag of one frame.
+        Clocks that differ by half a frame look like a lag of one frame. Pictures that repeat now and then, and jumps of
+        brightness, cost next to nothing (`python -m eval.fault_table`: 0.4 mm).
         """
+        if self.kind in ("repeats", "flicker"):
+            return True
         return abs(self.lag_frames) == 1 or (self.kind == "calibration" and self.offset_m < _HARMLESS_M)
 
     @property
@@ -120,6 +146,9 @@ class CameraFault:
             "calibration": f"{who} does not stand where its calibration says: its lines of sight miss the people by "
             f"{100 * self.offset_m:.1f} cm, as if it were turned by {self.turn_deg:.1f} degrees or shifted by "
             f"{100 * self.shift_m:.0f} cm{self._far}",
+            "exchanged": f"{who} shows what camera {self.exchanged_with} should, and the other way round",
+            "repeats": f"{who} gives {100 * self.share:.0f} % of its pictures twice, in place of new ones",
+            "flicker": f"the brightness of {who} jumps in {100 * self.share:.0f} % of its pictures",
             "rig": f"the cameras do not agree with each other: their lines of sight miss each other by "
             f"{100 * self.offset_m:.1f} cm at the people, and it cannot be told whose calibration is wrong",
         }[self.kind]
@@ -160,6 +189,7 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
         for fault, rows in _without_picture(evidence, c):
             found.append(fault)
             unexplained[rows, c] = np.nan
+        found += _now_and_then(evidence, c)
     moved = [_background_moves(evidence, c) for c in range(n_cameras)]
     for c, own in enumerate(moved):
         for first, stop, shift in own:
@@ -170,12 +200,16 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
 
 
 def find_faults(monitor: ConsistencyMonitor) -> tuple[CameraFault, ...]:
-    """What `find_camera_faults` and `find_misfits` say of a recording, by first frame.
+    """What `find_camera_faults`, `find_misfits` and `find_exchanged` say of a recording, by first frame.
 
     A camera that never fits is judged by its outlines, which tell how far it is off.
     """
-    faults = find_camera_faults(monitor.evidence())
+    evidence = monitor.evidence()
+    faults = find_camera_faults(evidence)
     misfits = find_misfits(monitor.rig, monitor.mask_samples(), faults, monitor.occluders)
+    # Two that film each other's place look like two that are turned.
+    if len(misfits) == 2 or any(fault.kind == "rig" for fault in misfits) or _has_no_volume(evidence):
+        misfits = find_exchanged(monitor.rig, evidence, monitor.outlines()) or misfits
     named = {fault.camera for fault in misfits if fault.camera}
     faults = tuple(f for f in faults if f.camera not in named)
     return tuple(sorted(faults + misfits, key=lambda f: (f.first_frame, f.camera)))
@@ -194,7 +228,7 @@ def find_misfits(
     """
     if len(samples) < _MIN_FRAMES:
         return ()
-    changing = {fault.camera for fault in faults if not _may_be_calibration(fault)}
+    changing = {f.camera for f in faults if f.kind != "flicker" and not _may_be_calibration(f)}
     is_well = [name not in changing for name in rig.names]
     samples = [
         replace(sample, masks=[m if w else None for m, w in zip(sample.masks, is_well, strict=True)])
@@ -205,6 +239,31 @@ def find_misfits(
     if found.misfits:
         return tuple(_miscalibrated(replace(whole, camera=name), m) for name, m in found.misfits.items())
     return () if found.is_decided or not np.isfinite(found.offset_m) else (whole,)
+
+
+def find_exchanged(
+    rig: CameraRig, evidence: SilhouetteEvidence, outlines: Sequence[Sequence[Array]]
+) -> tuple[CameraFault, ...]:
+    """Two cameras that film what the other one should, if that explains why people do not fit the calibration.
+
+    outlines : convex hulls of silhouettes, as of `doubt_rig`.
+    """
+    doubt = doubt_rig(rig, outlines)
+    if doubt.mistake != "exchanged":
+        return ()
+    whole = CameraFault("", "exchanged", int(evidence.frames[0]), int(evidence.frames[-1]), True, True)
+    one, other = doubt.cameras
+    return (
+        replace(whole, camera=one, exchanged_with=other),
+        replace(whole, camera=other, exchanged_with=one),
+    )
+
+
+def _has_no_volume(evidence: SilhouetteEvidence) -> bool:
+    """Whether most frames in which several cameras see somebody hold no volume that they agree on."""
+    is_seen = np.count_nonzero(evidence.mask_cells >= MIN_CELLS, axis=1) >= _SEVERAL
+    is_empty = ~(evidence.hull_cells > 0).any(axis=1)
+    return int(np.count_nonzero(is_seen & is_empty)) > 0.5 * max(int(np.count_nonzero(is_seen)), 1)
 
 
 def _may_be_calibration(fault: CameraFault) -> bool:
@@ -415,6 +474,30 @@ def _frozen(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, int]]:
 
     A picture in which nobody is, and nobody is to be expected, may well stand still.
     """
+    still, tells = _stillness(evidence, c)
+    # In its first frames a codec still settles on the repeated picture.
+    stretches = [r for r in _runs(still, 3) if np.count_nonzero((tells & still)[slice(*r)]) >= _MIN_FRAMES]
+    return [(_start_of_stillness(evidence, c, first), stop) for first, stop in stretches]
+
+
+def _now_and_then(evidence: SilhouetteEvidence, c: int) -> Iterator[CameraFault]:
+    """What happens to single pictures of a camera all over the recording."""
+    whole = _fault(evidence, c, "repeats", 0, len(evidence.frames))
+    still, tells = _stillness(evidence, c)
+    for stretch in _frozen(evidence, c):
+        tells[slice(*stretch)] = False
+    n_repeated = int(np.count_nonzero(tells & still))
+    share = n_repeated / max(int(np.count_nonzero(tells)), 1)
+    if n_repeated >= _MIN_FRAMES and share >= _REPEATED_SHARE:
+        yield replace(whole, share=share)
+    brightness = evidence.brightness[:, c].astype(np.float64)
+    jumps = np.abs(np.diff(brightness)) > _JUMP * np.maximum(brightness[1:], _BLACK_LEVEL)
+    if np.count_nonzero(jumps) >= max(_MIN_FRAMES, _JUMP_SHARE * len(jumps)):
+        yield replace(whole, kind="flicker", share=float(jumps.mean()))
+
+
+def _stillness(evidence: SilhouetteEvidence, c: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Frames (T,) in which a camera gives what it gave before, and those (T,) in which that would tell something."""
     own = evidence.picture_change[:, c]
     if np.isfinite(own).any():
         others = np.delete(evidence.picture_change, c, axis=1)
@@ -430,9 +513,7 @@ def _frozen(evidence: SilhouetteEvidence, c: int) -> list[tuple[int, int]]:
             others_go_on = np.count_nonzero(others > _MOVING_MASK_CHANGE, axis=1) >= 0.5 * others.shape[1]
             still = evidence.change[:, c] < _FROZEN_MASK_CHANGE
     tells = others_go_on & (np.maximum(evidence.mask_cells[:, c], evidence.expected_cells[:, c]) >= MIN_CELLS)
-    # In its first frames a codec still settles on the repeated picture.
-    stretches = [r for r in _runs(still, 3) if np.count_nonzero((tells & still)[slice(*r)]) >= _MIN_FRAMES]
-    return [(_start_of_stillness(evidence, c, first), stop) for first, stop in stretches]
+    return still, tells
 
 
 def _start_of_stillness(evidence: SilhouetteEvidence, c: int, first: int) -> int:

@@ -20,6 +20,7 @@ from mocap.data import CameraRig, Occluders, VoxelGrid
 from mocap.volume import _kernels
 from mocap.volume.carve import Carver, check_masks
 from mocap.volume.rig_agreement import MaskSample
+from mocap.volume.synchrony import silhouette_hull
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -40,6 +41,8 @@ _SAMPLE_STEPS = (16, 4)  # every so many rows and columns of a picture are looke
 _MAX_SNAPSHOTS = 96
 # Whole masks: 24 of seven cameras of 640 x 480 are 6 MB of bits, and 12 to 24 frames tell a shift of 2 cm.
 _MAX_SAMPLES = 24
+# Frames whose outlines are kept as convex hulls: as many as `mocap check` looks at, a few kB each.
+_MAX_OUTLINES = 48
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +116,7 @@ class ConsistencyMonitor:
         self._samples: tuple[Image, ...] | None = None
         self._snapshots = _Spread[Snapshot](_MAX_SNAPSHOTS)
         self._samples_of_masks = _Spread[_Packed](_MAX_SAMPLES)
+        self._outlines = _Spread[list[Array]](_MAX_OUTLINES)
         self._places: Array = np.zeros((0, 3))
 
     def add(self, frame: int, masks: Sequence[Mask], images: Sequence[Image] | None = None) -> None:
@@ -134,6 +138,7 @@ class ConsistencyMonitor:
         self._recent.append(now)
         self._compare()
         self._snapshots.add(lambda: self._snapshot(frame, now, images))
+        self._outlines.add(lambda: [silhouette_hull(mask) for mask in masks])
         if len(self._places):
             self._samples_of_masks.add(
                 lambda: _Packed(frame, tuple(np.packbits(mask, axis=1) for mask in masks), self._places)
@@ -143,6 +148,10 @@ class ConsistencyMonitor:
     def occluders(self) -> Occluders | None:
         """What is known to stand before people."""
         return self._carver.occluders
+
+    def outlines(self) -> list[list[Array]]:
+        """Corners (P, 2) px of the convex hulls of the masks of some frames, per camera and frame."""
+        return [list(own) for own in zip(*self._outlines.items, strict=True)]
 
     def mask_samples(self) -> list[MaskSample]:
         """Whole masks of some frames with people, evenly spread."""

@@ -66,6 +66,8 @@ class AgreementSettings:
     agrees_m, agrees_px : cameras off by less than the larger agree. Healthy rigs are off by 0.7 cm at most with
     pictures of 320 x 240 and more, by 0.9 cm (0.4 px) with 160 x 120; a shift of a camera by 2 cm is 0.9 to 1.6 cm.
     disagrees : a rig in which nobody can be blamed is said to disagree when it is off by this factor more.
+    left : cameras are blamed too when the others are off by no more than such a rig, and by this share of before: one
+    camera of seven turned by 1 degree leaves 0.75 of 4.8 cm.
     among_furniture : factor on it where something is known to stand, of which edges are not: 0.6 to 1.0 cm are healthy.
     cut_m : there an outline that all others but one see so far beyond is cut, and says nothing of others.
     clearly : without those that are named the largest misfit is smaller than without any others by this factor.
@@ -84,6 +86,7 @@ class AgreementSettings:
     ridge: float = 30.0
     agrees_m: float = 0.007
     disagrees: float = 2.0
+    left: float = 0.25
     agrees_px: float = 0.45
     among_furniture: float = 2.5
     cut_m: float = 0.02
@@ -254,10 +257,11 @@ class _Judge:
         offset, agrees_m = self.largest(cameras), self._world.agrees_m
         if not offset > agrees_m:
             return Agreement({}, offset, is_decided=bool(np.isfinite(offset)))
+        least_m = min(self._settings.disagrees * agrees_m, self._settings.left * offset)
         for n in range(1, min(self._settings.most_named, len(cameras) - _MIN_AGREEING) + 1):
             left = {bad: self.largest(_without(cameras, bad)) for bad in combinations(cameras, n)}
             bad = min(left, key=lambda some: np.nan_to_num(left[some], nan=np.inf))
-            if left[bad] <= agrees_m:
+            if left[bad] <= max(agrees_m, least_m):
                 next_best = min(own for some, own in left.items() if some != bad)
                 if next_best < self._settings.clearly * left[bad]:
                     break

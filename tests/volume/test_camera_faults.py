@@ -22,7 +22,7 @@ from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
 from mocap.products.hulls import rig_offset_m, stored_faults
-from mocap.volume import CameraFault, ConsistencyMonitor, find_camera_faults, usable_cameras
+from mocap.volume import CameraFault, ConsistencyMonitor, find_camera_faults, find_faults, usable_cameras
 from mocap.volume.camera_faults import background_shift, fit_states
 from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, SilhouetteEvidence, Snapshot
 
@@ -179,6 +179,48 @@ def test_a_frozen_camera_goes_on() -> None:
     assert abs(fault.first_frame - FIRST - START) <= FRAMES_OFF
     assert abs(fault.last_frame - FIRST - START - 21) <= FRAMES_OFF
     assert not fault.is_to_end
+
+
+def test_pictures_that_repeat_now_and_then_are_told_and_the_camera_kept() -> None:
+    masks = clean()
+    masks[3] = [masks[3][f - 1] if f % 4 == 3 else m for f, m in enumerate(masks[3])]
+    (fault,) = find(masks)
+    assert (fault.camera, fault.kind) == ("cam_3", "repeats")
+    assert fault.share == pytest.approx(0.25, abs=0.03)
+    assert "gives 25 % of its pictures twice" in fault.message
+    assert usable_cameras([fault], RIG.names, np.arange(FIRST, FIRST + T)).all()
+
+
+@pytest.mark.parametrize(("darker", "is_flicker"), [(0.3, True), (0.05, False)])
+def test_a_camera_that_flickers_is_told_and_kept(darker: float, is_flicker: bool) -> None:
+    evidence = still_picture(mask_change=0.3, n_cells=300)
+    brightness = evidence.brightness.copy()
+    brightness[::2, 1] *= 1 - darker
+    found = find_camera_faults(replace(evidence, brightness=brightness))
+    assert [(f.camera, f.kind, f.is_harmless) for f in found] == [("b", "flicker", True)] * is_flicker
+
+
+def test_a_light_that_is_switched_off_is_no_flicker() -> None:
+    evidence = still_picture(mask_change=0.3, n_cells=300)
+    brightness = evidence.brightness.copy()
+    brightness[20:] *= 0.5
+    assert find_camera_faults(replace(evidence, brightness=brightness)) == ()
+
+
+def test_exchanged_cameras_are_named_and_left_out() -> None:
+    masks = clean()
+    masks[1], masks[4] = masks[4], masks[1]
+    monitor = ConsistencyMonitor(RIG, GRID)
+    for f in range(T):
+        monitor.add(FIRST + f, [camera[f] for camera in masks])
+    found = find_faults(monitor)
+    assert [(f.camera, f.kind, f.exchanged_with) for f in found] == [
+        ("cam_1", "exchanged", "cam_4"),
+        ("cam_4", "exchanged", "cam_1"),
+    ]
+    assert found[0].message == "camera cam_1 shows what camera cam_4 should, and the other way round"
+    used = usable_cameras(found, RIG.names, np.array([FIRST + 5]))[0]
+    assert used.tolist() == [True, False, True, True, False, True, True]
 
 
 def test_a_camera_without_masks_sees_nobody() -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from eval.bench.scene import person_mask, ring
 from mocap.data import Camera, CameraRig, VoxelGrid
 from mocap.volume import CameraFault, ConsistencyMonitor, find_misfits
-from mocap.volume.rig_agreement import MaskSample, _clearance, rig_agreement
+from mocap.volume.rig_agreement import AgreementSettings, MaskSample, _clearance, rig_agreement
 
 C, SIZE, N = 7, (320, 240), 6
 RIG = ring(C, SIZE)
@@ -86,6 +86,18 @@ def test_one_camera_is_named_with_the_size_of_its_misfit(
         # Of a shift, the part along the line of sight does not show.
         across = np.linalg.norm(RIG[2].R[:2] @ np.array(shift))
         assert misfit.shift_m == pytest.approx(across, abs=0.006)
+
+
+def test_who_leaves_little_of_a_large_misfit_is_named_where_the_others_hardly_agree() -> None:
+    """3 of 41 mm are left without the camera that is turned, and all agree within 2 mm is asked for."""
+    rig = rig_with({2: ((0.0, 1.0, 0.0), STILL)})
+    strict = AgreementSettings(agrees_m=0.002, agrees_px=0.0)
+    assert list(rig_agreement(rig, samples(), settings=strict).misfits) == ["cam_2"]
+    stricter = rig_agreement(rig, samples(), settings=replace(strict, left=0.0))
+    assert not stricter.misfits
+    assert not stricter.is_decided
+    # What is left is told from nothing when it is more than cameras that are not said to disagree have.
+    assert not rig_agreement(rig, samples(), settings=replace(strict, agrees_m=0.001)).misfits
 
 
 def test_two_cameras_are_named() -> None:

@@ -61,6 +61,9 @@ _REMEDIES = {
     "misfit": "look at its silhouettes in the report",
     "scene": "look at the silhouettes in the report; split the recording there",
     "calibration": "calibrate it again",
+    "exchanged": "exchange the clips of the two, or their names",
+    "repeats": "look at how it is recorded: pictures are lost on the way, and the gaps are filled",
+    "flicker": "lock its exposure, and film with steady light",
     "rig": "calibrate all cameras again, and check that all clips show the same moments",
 }
 
