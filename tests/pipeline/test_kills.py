@@ -1,8 +1,9 @@
-"""Runs that are killed at any instant: what is finished is kept, and a resumed run has the bytes of one never killed."""
+"""Runs that are killed at any instant: what is finished is kept, and a resumed run ends with the same bytes."""
 
 from __future__ import annotations
 
 import random
+import shutil
 import subprocess
 import sys
 import time
@@ -67,6 +68,4 @@ def _content(out: Path) -> dict[str, str]:
 
 
 def _remove(path: Path) -> None:
-    import shutil
-
     shutil.rmtree(path) if path.is_dir() else path.unlink()
