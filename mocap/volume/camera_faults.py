@@ -76,7 +76,6 @@ _MIN_POINTS = 6
 _N_LOOKS = 16
 # One camera of seven off by so much costs less than doing without it (`python -m eval.fault_table`: 1.3 and 1.7 cm).
 _HARMLESS_M = 0.025
-_SEVERAL = 3  # cameras that see somebody, so that there should be a volume
 # Pictures given twice, of those that would tell; jumps of brightness against the last picture, and their share. Healthy
 # cameras of the development scenes have 0 to 2 % of the first and none of the others.
 _REPEATED_SHARE = 0.1
@@ -260,10 +259,10 @@ def find_exchanged(
 
 
 def _has_no_volume(evidence: SilhouetteEvidence) -> bool:
-    """Whether most frames in which several cameras see somebody hold no volume that they agree on."""
-    is_seen = np.count_nonzero(evidence.mask_cells >= MIN_CELLS, axis=1) >= _SEVERAL
-    is_empty = ~(evidence.hull_cells > 0).any(axis=1)
-    return int(np.count_nonzero(is_seen & is_empty)) > 0.5 * max(int(np.count_nonzero(is_seen)), 1)
+    """Whether most masks of somebody meet no volume that the cameras agree on."""
+    is_seen = evidence.mask_cells >= MIN_CELLS
+    n_lost = int(np.count_nonzero(is_seen & (evidence.hull_cells < MIN_CELLS)))
+    return n_lost > 0.5 * max(int(np.count_nonzero(is_seen)), 1)
 
 
 def _may_be_calibration(fault: CameraFault) -> bool:
