@@ -26,9 +26,9 @@ from mocap.pipeline.record import RunResult
 from mocap.pipeline.run import run_session
 
 RESULT = Path(__file__).with_name("results") / "join_pieces.csv"
-SCENE, SIZE, N_FRAMES = "two_persons", (320, 240), 120
+SCENE, SIZE, N_FRAMES = "two_persons", (320, 240), 90
 N_PIECES = 2
-OVERLAPS_S = (0.5, 1.0, 2.0)
+OVERLAPS_S = (0.5, 1.0)
 
 
 def differences_mm(one: RunResult, other: RunResult) -> NDArray[np.float64]:
