@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable
 from typing import Annotated
@@ -20,35 +21,50 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 # In the order of `mocap --help`.
-COMMANDS: dict[str, Callable[..., None]] = {
-    "demo": run.demo,
-    "init": init.init,
-    "run": run.run,
-    "live": live.live,
-    "segment": run.segment,
-    "carve": run.carve,
-    "track": run.track,
-    "pose": run.pose,
-    "join": join.join,
-    "eval": compare.evaluate,
-    "edit": edit.edit,
-    "export": tools.export,
-    "check": tools.check,
-    "synth": synth.synth,
-    "convert-calibration": tools.convert_calibration,
-    "board": calibrate.board,
-    "calibrate": calibrate.calibrate,
-    "sync": sync.sync,
-    "view": tools.view,
-    "report": tools.report,
-    "warm-up": tools.warm_up,
-    "doctor": tools.doctor,
-    "bundle": tools.bundle,
-    "batch": cluster.batch,
-    "sweep": cluster.sweep,
+COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
+    "To begin": {"demo": run.demo, "doctor": tools.doctor, "warm-up": tools.warm_up},
+    "Before a run": {
+        "init": init.init,
+        "check": tools.check,
+        "board": calibrate.board,
+        "calibrate": calibrate.calibrate,
+        "sync": sync.sync,
+        "convert-calibration": tools.convert_calibration,
+    },
+    "Run": {
+        "run": run.run,
+        "segment": run.segment,
+        "carve": run.carve,
+        "track": run.track,
+        "pose": run.pose,
+        "live": live.live,
+    },
+    "With a result": {
+        "report": tools.report,
+        "view": tools.view,
+        "edit": edit.edit,
+        "export": tools.export,
+        "eval": compare.evaluate,
+        "bundle": tools.bundle,
+    },
+    "Many runs": {
+        "batch": cluster.batch,
+        "join": join.join,
+        "sweep": cluster.sweep,
+        "synth": synth.synth,
+    },
 }
-for _name, _command in COMMANDS.items():
-    app.command(name=_name)(_command)
+
+
+def _help(command: Callable[..., None]) -> str:
+    """A command's documentation with its paragraphs on one line each: the terminal is as wide as it is."""
+    paragraphs = inspect.cleandoc(command.__doc__ or "").split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+
+for _group, _commands in COMMANDS.items():
+    for _name, _command in _commands.items():
+        app.command(name=_name, help=_help(_command), rich_help_panel=_group)(_command)
 
 
 def _print_version(value: bool) -> None:

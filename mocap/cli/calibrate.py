@@ -62,7 +62,7 @@ def calibrate(
     clips: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[BOARD]",
+            metavar="BOARD",
             help="Folder with one clip of the board per camera, synchronised.",
             show_default=False,
         ),

@@ -33,7 +33,9 @@ CellThreadsOption = Annotated[int, typer.Option("--threads", min=1, help="Thread
 
 
 def batch(
-    sessions: Annotated[list[Path], typer.Argument(help="Session folders, or folders of sessions.")],
+    sessions: Annotated[
+        list[Path], typer.Argument(metavar="SESSION", help="Session folders, or folders of sessions.")
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for runs and tables.")],
     preset: Annotated[str, typer.Option("--preset", help="As for `mocap run`.")] = "default",
     settings: Annotated[
@@ -76,7 +78,9 @@ def batch(
 
 
 def sweep(
-    spec: Annotated[Path, typer.Argument(help="TOML file: sessions, presets, settings, seeds.")],
+    spec: Annotated[
+        Path, typer.Argument(metavar="SPEC", help="TOML file: sessions, presets, settings, seeds.")
+    ],
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for results and tables.")] = None,
     plan: Annotated[bool, typer.Option("--plan", help="Print the cells and run nothing.")] = False,
     sample: Annotated[

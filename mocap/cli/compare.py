@@ -14,9 +14,15 @@ from mocap.cli.scores import echo_comparison
 
 def evaluate(
     estimate: Annotated[
-        Path, typer.Argument(help="Output folder of a run, or a file: TRC, C3D, BVH, CSV, Panoptic JSON.")
+        Path,
+        typer.Argument(
+            metavar="ESTIMATE", help="Output folder of a run, or a file: TRC, C3D, BVH, CSV, Panoptic JSON."
+        ),
     ],
-    truth: Annotated[Path, typer.Argument(help="Session folder with truth, or a file as for the estimate.")],
+    truth: Annotated[
+        Path,
+        typer.Argument(metavar="TRUTH", help="Session folder with truth, or a file as for the estimate."),
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     html: Annotated[Path | None, typer.Option("--html", help="Write a page with pictures.")] = None,
     epsilon_mm: Annotated[float, typer.Option("--epsilon", min=1.0, help="Matching threshold, mm.")] = 100.0,

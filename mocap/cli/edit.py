@@ -42,13 +42,13 @@ def edit(
     what: Annotated[
         str | None,
         typer.Argument(
-            metavar="[EDIT]",
+            metavar="EDIT",
             help="merge, split, swap, delete, exchange, bad or pin.",
             autocompletion=complete.edits,
         ),
     ] = None,
     persons: Annotated[
-        list[int] | None, typer.Argument(metavar="[PERSON]...", help="Numbers of persons, as in tracks.csv.")
+        list[int] | None, typer.Argument(metavar="PERSON", help="Numbers of persons, as in tracks.csv.")
     ] = None,
     frames: Annotated[
         str | None, typer.Option("--frames", help="a:b, frames a to b - 1; either may be left out.")

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 
 def live(
-    calibration: Annotated[Path | None, typer.Argument(help="Calibration file of the cameras.")] = None,
+    calibration: Annotated[
+        Path | None, typer.Argument(metavar="CALIBRATION", help="Calibration file of the cameras.")
+    ] = None,
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Folder for the background and the recording, a session.")
     ] = Path("out/live"),

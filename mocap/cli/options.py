@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from mocap.pipeline.config import Config
 
 SessionPath = Annotated[
-    Path, typer.Argument(help="Session folder: calibration, videos/ or images/, background/ ...")
+    Path,
+    typer.Argument(
+        metavar="SESSION", help="Session folder: calibration, videos/ or images/, background/ ..."
+    ),
 ]
 RunPath = Annotated[Path, typer.Argument(metavar="OUT", help="Output folder of a run.")]
 OutPath = Annotated[Path, typer.Option("-o", "--out", help="Folder for the results.")]
@@ -25,7 +28,7 @@ PresetOption = Annotated[
     str,
     typer.Option(
         "--preset",
-        help="default, realtime, reference, thesis_body, or a TOML file.",
+        help="default, realtime, reference, reference_markers, reference_shbm, thesis_body, or a TOML file.",
         autocompletion=complete.presets,
     ),
 ]

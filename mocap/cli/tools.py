@@ -25,7 +25,8 @@ from mocap.errors import MissingExtra, MocapError
 def view(
     result: RunPath,
     session: Annotated[
-        Path | None, typer.Argument(help="The run's session; then the scene is written anew.")
+        Path | None,
+        typer.Argument(metavar="SESSION", help="The run's session; then the scene is written anew."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="File to write instead of OUT/scene.rrd.")
@@ -82,7 +83,7 @@ def view(
 
 def report(
     result: RunPath,
-    session: Annotated[Path, typer.Argument(help="The run's session.")],
+    session: Annotated[Path, typer.Argument(metavar="SESSION", help="The run's session.")],
     video: Annotated[
         bool,
         typer.Option(
@@ -128,7 +129,7 @@ def _open_viewer(scene: Path) -> None:
 
 
 def export(
-    result: Annotated[Path, typer.Argument(help="Output folder of a run.")],
+    result: RunPath,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
     what: Annotated[str, typer.Option("--what", help="voxels, mesh (of the hull) or motion.")] = "voxels",
     format: Annotated[
@@ -221,7 +222,8 @@ def doctor() -> None:
 def bundle(
     result: RunPath,
     session: Annotated[
-        Path | None, typer.Argument(help="The run's session: its calibration and settings come along.")
+        Path | None,
+        typer.Argument(metavar="SESSION", help="The run's session: its calibration and settings come along."),
     ] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="File to write.")] = Path("bundle.zip"),
 ) -> None:
@@ -234,7 +236,7 @@ def bundle(
 
 
 def convert_calibration(
-    source: Annotated[Path, typer.Argument(help="Calibration file of any supported format.")],
+    source: Annotated[Path, typer.Argument(metavar="FILE", help="Calibration file of any supported format.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="File to write; of easymocap the folder.")],
     units: Annotated[
         str | None, typer.Option("--units", help="m, cm or mm, when the file does not say.")

@@ -15,6 +15,7 @@ from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import body_parts, room_bounds, rows_at, shown_frames
 from mocap.pose.method import SmoothSettings
 from mocap.pose.result import PersonPoses
+from mocap.pose.steps import Gait
 from mocap.view.curves import Chart, Curve, on_every_frame
 from mocap.view.overlay import draw_limbs
 from mocap.view.replay import Replay, ReplayPerson, webp
@@ -135,11 +136,11 @@ def _fitting(found: Found, frames: NDArray[np.int64], limit: int) -> tuple[int, 
     return width, quality, frames[:: max(1, int(np.ceil(each * len(frames) / limit)))]
 
 
-def charts_of(poses: PersonPoses, angles: AngleSeries, fps: float) -> list[Chart]:
-    """Curves of one person: speed, heights, and the angles that the body has."""
+def charts_of(poses: PersonPoses, angles: AngleSeries, fps: float, gait: Gait) -> list[Chart]:
+    """Curves of one person: speed, heights, contacts of feet where the body has them, and the angles that it has."""
     if not len(poses.frames):
         return []
-    charts = [_speed_chart(poses, fps), _height_chart(poses, fps)]
+    charts = [_speed_chart(poses, fps), _height_chart(poses, fps), *_contact_charts(poses, gait, fps)]
     for title, name in _CHARTS:
         curves = [
             _curve(angles, f"{side}_{name}", side, side)
@@ -192,6 +193,15 @@ def _height_chart(poses: PersonPoses, fps: float) -> Chart:
         std = np.sqrt(poses.landmark_covariance[:, m, 2, 2])
         curves.append(Curve(name, kind, poses.landmarks[:, m, 2], std, poses.observed[:, m]))
     return on_every_frame(Chart("Height over the floor", "m", poses.frames, fps, tuple(curves)))
+
+
+def _contact_charts(poses: PersonPoses, gait: Gait, fps: float) -> list[Chart]:
+    """How probable it is that heel or toe of each foot rest on the floor; nothing of a body without feet."""
+    if gait.contacts is None:
+        return []
+    soles = gait.contacts.probability.reshape(len(poses.frames), 2, 2).max(axis=2)
+    curves = tuple(Curve(side, side, soles[:, k]) for k, side in enumerate(_SIDES))
+    return [on_every_frame(Chart("Foot on the floor", "probability", poses.frames, fps, curves))]
 
 
 def person_summary(poses: PersonPoses, angles: AngleSeries, fps: float) -> str:

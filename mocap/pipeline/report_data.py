@@ -13,6 +13,7 @@ from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, printabl
 from mocap.pipeline.replay import charts_of, person_summary, replay_of
 from mocap.pose.angles import angles_of
 from mocap.pose.doubt import doubts_of_all
+from mocap.pose.steps import gait_of
 from mocap.view import REPORT_SCORES, PersonPage, Place, ReportData, write_report
 
 OUTPUT_WORDS = {
@@ -23,9 +24,9 @@ OUTPUT_WORDS = {
     "angles.csv": "anatomical angles per person and frame, with standard deviations, degrees",
     "steps.csv": "foot contacts and steps of every person",
     "pose.npz": "joint angles, root, landmark covariances",
-    "body.toml": "the person's body as sized, for `body.model` of another run (body_1.toml and so on of several)",
+    "body.toml": "the person's body as sized: --set body.model=FILE uses it again",
     "scene.rrd": "cameras, images, voxels and bodies on a time line, for the Rerun viewer",
-    "store.zarr": "masks and volumes of every frame; lets a run be resumed",
+    "store.zarr": "what every stage found in every frame; lets a run be resumed and edited",
     ".bvh": "animated skeleton for animation tools (y up, centimetres)",
     ".trc": "landmark trajectories for biomechanics tools (y up, metres)",
     ".c3d": "landmark trajectories for biomechanics tools (z up, millimetres)",
@@ -82,7 +83,8 @@ def _people(record: RunRecord, found: Found) -> Iterator[PersonPage]:
     fps = found.session.fps
     for poses in found.poses:
         angles = angles_of(poses, fps, record.config.method.angles)
-        charts = tuple(charts_of(poses, angles, fps))
+        gait = gait_of(poses, fps, record.config.method.contact)
+        charts = tuple(charts_of(poses, angles, fps, gait))
         yield PersonPage(f"person {poses.person}", charts, person_summary(poses, angles, fps))
 
 

@@ -125,7 +125,8 @@ def _drawn(curve: Curve, keep: slice, x: Array, y_of: object) -> str:
     if curve.std is not None:
         half = _WIDTH_90 * curve.std[keep]
         for rows in _runs(np.isfinite(values) & np.isfinite(half)):
-            upper, lower = y_of(values[rows] + half[rows]), y_of(values[rows] - half[rows])
+            edges = (y_of(values[rows] + half[rows]), y_of(values[rows] - half[rows]))
+            upper, lower = (np.clip(edge, _TOP, _BOTTOM) for edge in edges)
             points = [*zip(x[rows], upper, strict=True), *zip(x[rows][::-1], lower[::-1], strict=True)]
             out += f'<path class="band {curve.kind}" d="{_path(points)}Z"/>'
     known = np.isfinite(values)
@@ -138,12 +139,15 @@ def _drawn(curve: Curve, keep: slice, x: Array, y_of: object) -> str:
 
 
 def _limits(chart: Chart) -> tuple[float, float]:
-    """Range of the axis: all values, and bands as far as twice the values' own range."""
+    """Range of the axis: all values, and bands as far as twice the values' own range or twice their usual width; a limb
+    that is unknown for a while does not flatten the rest."""
     values = np.concatenate([c.values[np.isfinite(c.values)] for c in chart.curves])
     if not len(values):
         return 0.0, 1.0
     low, high = float(values.min()), float(values.max())
-    room = max(2.0 * (high - low), 1e-3)
+    stds = [c.std[np.isfinite(c.std)] for c in chart.curves if c.std is not None]
+    usual = max((float(np.median(own)) for own in stds if len(own)), default=0.0)
+    room = max(2.0 * (high - low), 2.0 * _WIDTH_90 * usual, 1e-3)
     for c in chart.curves:
         if c.std is not None:
             known = np.isfinite(c.values) & np.isfinite(c.std)

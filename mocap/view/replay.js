@@ -22,6 +22,8 @@ function line(g,project,a,b,style,width){
  var p=project(a),q=project(b);if(!p||!q){return;}
  g.strokeStyle=style;g.lineWidth=width;g.beginPath();g.moveTo(p[0],p[1]);g.lineTo(q[0],q[1]);g.stroke();
 }
+function label(g,text,x,y){
+ g.fillText(text,Math.max(2,Math.min(x,scene.width-g.measureText(text).width-2)),Math.max(y,12));}
 function floor(g,project,faint){
  var x,y,l=data.lower,u=data.upper;
  for(x=Math.ceil(l[0]);x<=u[0];x++){line(g,project,[x,l[1],0],[x,u[1],0],faint,1);}
@@ -30,7 +32,7 @@ function floor(g,project,faint){
 function rig(g,project,ink){
  data.cameras.forEach(function(c){
   c.corners.forEach(function(k,i){line(g,project,c.centre,k,ink,1);line(g,project,k,c.corners[(i+1)%4],ink,1);});
-  var p=project(c.centre);if(p){g.fillStyle=ink;g.fillText(c.name,p[0]+4,p[1]-4);}});
+  var p=project(c.centre);if(p&&p[0]>0&&p[0]<scene.width){g.fillStyle=ink;label(g,c.name,p[0]+4,p[1]-4);}});
 }
 function point(person,i,m){var v=person.points[i];if(!v||v[3*m]===null){return null;}
  return[v[3*m]/1000,v[3*m+1]/1000,v[3*m+2]/1000];}
@@ -52,7 +54,7 @@ function body(g,project,person,i){
    g.strokeStyle=s[0];g.lineWidth=s[1];g.beginPath();g.moveTo(b[0][0],b[0][1]);g.lineTo(b[1][0],b[1][1]);g.stroke();});});
  g.lineCap="butt";
  var top=person.head===null?null:point(person,i,person.head),p=top&&project([top[0],top[1],top[2]+0.12]);
- if(p){g.fillStyle=person.colour;g.fillText(person.name,p[0]-18,p[1]);}
+ if(p){g.fillStyle=person.colour;label(g,person.name,p[0]-18,p[1]);}
 }
 function drawScene(){
  var ratio=window.devicePixelRatio||1,w=Math.max(200,Math.round(scene.clientWidth*ratio));

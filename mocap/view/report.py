@@ -258,12 +258,13 @@ def _result_section(data: ReportData) -> str:
 def _pictures_section(data: ReportData, panels: Sequence[FramePanel], width: int, quality: int) -> str:
     if not panels:
         return faint("No pictures were kept of this run.")
+    has_volume = _has(panels, "hull")
+    shown, good = _VOLUME_WORDS if has_volume else _POINT_WORDS
+    far = '<span><i class="depth"></i>volume, far to near</span>' if has_volume else ""
     out = (
-        "<p>The same instant in each camera, from left to right: what was filmed, what was taken for the person, "
-        "the volume that all silhouettes agree on, and the body fitted into it. A good run has silhouettes "
-        "without holes or shadows, a volume that fills them, and limbs that lie on the person's limbs with "
-        "left and right not swapped. Select a picture to enlarge it.</p>"
-        f'<p class="legend">{_swatches(panels)}<span><i class="depth"></i>volume, far to near</span></p>'
+        f"<p>The same instant in each camera, from left to right: what was filmed, {shown}. A good run has {good} "
+        "limbs that lie on the person's limbs with left and right not swapped. Select a picture to enlarge it.</p>"
+        f'<p class="legend">{_swatches(panels)}{far}</p>'
     )
     if len(panels) < len(data.frames):
         out += f"<p>{len(panels)} of {len(data.frames)} rows are shown, to keep this file small.</p>"
@@ -276,18 +277,29 @@ def _pictures_section(data: ReportData, panels: Sequence[FramePanel], width: int
     return out
 
 
+_VOLUME_WORDS = (
+    "what was taken for the person, the volume that all silhouettes agree on, and the body fitted into it",
+    "silhouettes without holes or shadows, a volume that fills them, and",
+)
+_POINT_WORDS = ("the points that were detected, and the body fitted to them", "points on the person, and")
+
+
+def _has(panels: Sequence[FramePanel], word: str) -> bool:
+    return any(word in label for panel in panels for label, _ in panel.images)
+
+
 def _swatches(panels: Sequence[FramePanel]) -> str:
     """What the colours of the pictures mean."""
     swatches = "".join(
         f'<span><i style="background:{_css(colour)}"></i>{name}</span>'
         for name, colour in (
-            ("silhouette", MASK_COLOUR),
+            *((("silhouette", MASK_COLOUR),) if _has(panels, "silhouette") else ()),
             ("left limbs (the person's left)", SIDE_COLOURS["left"]),
             ("right limbs", SIDE_COLOURS["right"]),
             ("trunk and head", SIDE_COLOURS["middle"]),
         )
     )
-    if any("skeleton" in label for panel in panels for label, _ in panel.images):
+    if _has(panels, "skeleton"):
         swatches += "<span>hollow joint: not observed, only inferred</span>"
     return swatches
 

@@ -21,8 +21,10 @@ from mocap.pipeline.record import Found
 from mocap.pipeline.replay import charts_of, person_summary, replay_of, speeds_m_s
 from mocap.pipeline.scene_frames import scene_frames
 from mocap.pose.angles import angles_of
+from mocap.pose.contacts import Contacts
 from mocap.pose.method import AngleSettings
 from mocap.pose.result import PersonPoses
+from mocap.pose.steps import Gait
 
 BODY = scale_body(load_body_model("girdle"), 1.7)
 
@@ -120,7 +122,13 @@ def test_speed_and_curves_have_gaps_where_nobody_was(found: Found) -> None:
     assert np.isnan(speed).tolist() == [int(f) in (0, 4, 6, N_FRAMES - 1) for f in poses.frames]
     assert 0.5 < np.nanmean(speed) < 1.6  # a walk
     assert std == pytest.approx(np.sqrt(2) * 0.006 * FPS / 2)
-    charts = charts_of(poses, angles_of(poses, FPS, AngleSettings()), FPS)
+    heel_and_toe = np.tile([0.9, 0.1, 0.2, 0.3], (len(poses.frames), 1))
+    gait = Gait(1, Contacts(heel_and_toe, np.zeros(4), np.zeros_like(heel_and_toe)))
+    charts = charts_of(poses, angles_of(poses, FPS, AngleSettings()), FPS, gait)
+    (contact,) = [c for c in charts if c.title == "Foot on the floor"]
+    assert [(c.label, np.nanmax(c.values)) for c in contact.curves] == [("left", 0.9), ("right", 0.3)]
+    without = charts_of(poses, angles_of(poses, FPS, AngleSettings()), FPS, Gait(1, None))
+    assert {c.title for c in charts} - {c.title for c in without} == {"Foot on the floor"}
     assert {"Speed over the floor", "Hip flexion", "Knee flexion", "Pelvis tilt"} <= {c.title for c in charts}
     for chart in charts:
         assert chart.frames.tolist() == list(range(N_FRAMES))

@@ -19,7 +19,7 @@ from mocap.data import LANDMARKS, AngleSeries
 from mocap.view.curves import Chart, Curve, charts_html
 from mocap.view.overlay import draw_body, draw_limbs
 from mocap.view.replay import Replay, ReplayPerson, replay_html, webp
-from mocap.view.report import PersonPage, ReportData, report_html
+from mocap.view.report import FramePanel, PersonPage, Place, ReportData, report_html
 
 T = 12
 FRAMES = np.arange(5, 5 + T)
@@ -58,19 +58,36 @@ def a_chart() -> Chart:
 
 @pytest.fixture(scope="module")
 def page() -> str:
-    person = PersonPage(
-        "person 2", (a_chart(), replace(a_chart(), title="Hip flexion")), "person\t2\nheight\t1.70 m"
+    return report_html(the_report())
+
+
+def the_report() -> ReportData:
+    """Every section that a report may have."""
+    contact = Chart(
+        "Foot on the floor", "probability", FRAMES, 30.0, (Curve("left", "left", np.linspace(0, 1, T)),)
     )
-    return report_html(
-        ReportData(
-            title=LONG,
-            session="s",
-            status="complete",
-            outputs=(("person_1.bvh", "a skeleton"), ("odd name&.csv", "a table")),
-            replay=a_replay(),
-            people=(person,),
-            versions={"mocap": "1"},
-        )
+    charts = (a_chart(), replace(a_chart(), title="Hip flexion"), contact)
+    person = PersonPage("person 2", charts, "person\t2\nheight\t1.70 m")
+    grey = np.full((60, 80, 3), 90, dtype=np.uint8)
+    return ReportData(
+        title=LONG,
+        session="s",
+        status="complete",
+        n_persons=1,
+        warnings=("person 2: left_wrist is hidden from all cameras. Remedy: add a camera",),
+        summary=(("Markers found by", "detections/" + "a_long_name_of_a_file" * 4),),
+        scores={"mean_error_mm": 12.9, "mmta_percent": 100.0},
+        per_landmark_mm={"left_wrist": 21.0, "head": None},
+        timings={"pose": (3.2, 40.0)},
+        frames=(FramePanel(6, "cam_0", (("image", grey), ("detections", grey), ("fitted body", grey))),),
+        outputs=(("person_1.bvh", "a skeleton"), ("odd name&.csv", "a table")),
+        command="mocap run session -o result --set " + "pose.n_particles=200," * 8,
+        config_text="{}",
+        silhouettes={"cam_0": {"foreground_share": 0.04}},
+        replay=a_replay(),
+        people=(person,),
+        places=(Place("person 2", range(6, 9), 7, 2.5, "left wrist and others uncertain; jumps"),),
+        versions={"mocap": "1"},
     )
 
 
@@ -117,6 +134,22 @@ def test_curves_have_bands_gaps_and_dashes():
     numbers = [float(v) for v in re.findall(r"[ML](-?[\d.]+) ", text)]
     assert min(numbers) >= 44
     assert max(numbers) <= 410
+
+
+def test_a_band_is_shown_whole_and_never_leaves_the_picture():
+    t = np.linspace(0, 6, 40)
+    frames = np.arange(40)
+    calm = Curve("trunk", "middle", 0.3 * np.sin(t), np.full(40, 5.0))
+    lost = Curve("trunk", "middle", 20 * np.sin(t), np.where(frames > 35, 104.0, 2.0))
+    for curve in (calm, lost):
+        text = charts_html([Chart("Trunk flexion", "degrees", frames, 30.0, (curve,))])
+        (band,) = re.findall(r'class="band middle" d="([^"]+)"', text)
+        heights = np.array([float(y) for y in re.findall(r"[ML]-?[\d.]+ (-?[\d.]+)", band)])
+        assert heights.min() >= 12.0
+        assert heights.max() <= 164.0
+        if curve is calm:  # wider than the curve moves, and yet within the axis
+            assert heights.min() > 13.0
+            assert heights.max() < 163.0
 
 
 def test_a_curve_of_one_frame_or_nothing_is_drawn():
@@ -178,12 +211,18 @@ window.addEventListener("load",function(){
  b.wide=document.documentElement.scrollWidth;b.room=window.innerWidth;
  var cut=0;document.querySelectorAll("h1,h2,h3,figcaption").forEach(function(h){
   if(h.scrollWidth>h.clientWidth+1&&getComputedStyle(h).display!=="inline"){cut+=1;}});b.cut=cut;
+ document.querySelectorAll("details").forEach(function(d){d.open=true;});
+ function scrolls(e){for(;e;e=e.parentElement){var o=getComputedStyle(e).overflowX;
+  if(o==="auto"||o==="scroll"||o==="hidden"){return true;}}return false;}
+ var out=[];document.querySelectorAll("main *").forEach(function(e){
+  if(e.getBoundingClientRect().right>window.innerWidth+1&&!scrolls(e)){out.push(e.tagName+"."+e.className);}});
+ b.out=out.slice(0,3).join(" ");b.sections=document.querySelectorAll("section").length;
  setTimeout(function(){b.tile=ink(player.querySelector("canvas.tile"));b.done="yes";},400);
 });</script>"""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize("width", [1200, 400])
 def test_a_browser_plays_it(tmp_path: Path, page: str, width: int):
     browser = next((b for b in BROWSERS if shutil.which(b)), None)
     if browser is None:
@@ -210,5 +249,8 @@ def test_a_browser_plays_it(tmp_path: Path, page: str, width: int):
     assert float(found["cursor"]) > 60.0
     assert int(found["scene"]) > 500
     assert int(found["tile"]) > 500
-    assert int(found["wide"]) <= int(found["room"]), "the page is wider than the window"
+    assert int(found["room"]) == width
+    assert int(found["wide"]) <= width, "the page is wider than the window"
+    assert found["out"] == "", "with everything unfolded nothing sticks out"
+    assert int(found["sections"]) >= 12
     assert found["cut"] == "0"

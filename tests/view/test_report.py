@@ -194,6 +194,18 @@ def test_bad_picture_is_refused(full):
         report_html(replace(full, frames=(panel,)))
 
 
+def test_pictures_of_points_speak_of_no_silhouettes(full):
+    grey = np.full((30, 40, 3), 90, dtype=np.uint8)
+    points = FramePanel(0, "a", (("image", grey), ("detections", grey), ("skeleton and detections", grey)))
+    section = (
+        report_html(replace(full, frames=(points,))).split('<section id="pictures"')[1].split("</section>")[0]
+    )
+    assert "points that were detected" in section
+    assert "silhouette" not in section
+    assert "volume" not in section
+    assert "silhouettes without holes" in report_html(full)
+
+
 def test_writes_utf8_and_replaces_an_earlier_file(tmp_path: Path, full):
     path = tmp_path / "report.html"
     path.write_text("old")
