@@ -81,7 +81,7 @@ def test_without_arguments_shows_help() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "word"),
-    [(("lunch",), "lunch"), (("run",), "session"), (("run", "x", "--speed", "1"), "--speed")],
+    [(("lunch",), "lunch"), (("run",), "SESSION"), (("run", "x", "--speed", "1"), "--speed")],
 )
 def test_wrong_usage_is_code_2(arguments: tuple[str, ...], word: str) -> None:
     said = mocap(*arguments)
