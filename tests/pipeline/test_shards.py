@@ -109,6 +109,30 @@ def test_the_commands_of_a_workflow_run_the_sweep(folder: Path, kind: str) -> No
     assert str(memory) in workflow(kind, path, out, 2)
 
 
+def test_a_nextflow_file_is_whole() -> None:
+    """No Java here: brackets and strings are closed, processes have what they need, and the workflow calls them."""
+    text = workflow("nextflow", Path("sweep.toml"), Path("a $folder"), 3, options=("--keep",))
+    script, blocks = 3 * '"', re.sub(r"//[^\n]*", "", text).split(3 * '"')
+    assert script in text
+    assert len(blocks) % 2 == 1, "every script is closed"
+    depth = 0
+    for sign in re.findall(r"[{}()]", "".join(blocks[::2])):
+        depth += 1 if sign in "{(" else -1
+        assert depth >= 0
+    assert depth == 0
+    processes = re.findall(r"^process (\w+) \{$", text, re.M)
+    assert len(processes) == 2
+    called = text.split("workflow {")[1]
+    assert all(re.search(rf"\b{name}\(", called) for name in processes)
+    for own in text.split("\nprocess ")[1:]:
+        assert re.search(r"input:\n\s+val (\w+)", own)
+        assert "script:" in own
+    # A dollar of a path is none of Groovy's; what is left are the two values that it fills in.
+    assert re.findall(r"(?<!\\)\$\{([^}]*)\}", text) == ["i", "task.cpus"]
+    assert "\\$folder" in text
+    assert "{{x}}" in workflow("snakemake", Path("sweep.toml"), Path("a {x}"), 3)
+
+
 def _plain(text: str) -> str:
     """A workflow with its string literals joined, as its own language would."""
     return re.sub(r'"([^"\n]*)" "([^"\n]*)"', r"\1\2", text)

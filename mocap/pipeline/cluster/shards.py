@@ -9,7 +9,7 @@ import json
 import os
 import shlex
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from mocap.errors import MocapError
@@ -100,7 +100,7 @@ def workflow(
     command = ["mocap", "sweep", str(spec.resolve()), "-o", str(out.resolve()), *options]
     return WORKFLOWS[kind].format(
         n=n,
-        first=shlex.join(command),
+        first=_ESCAPED[kind](shlex.join(command)),
         table=json.dumps(str(out.resolve() / "table.csv")),
         shards=str(out.resolve() / "shards"),
         threads=n_threads,
@@ -142,7 +142,7 @@ rule shard:
 
 _NEXTFLOW = """\
 // Made by `mocap sweep --emit nextflow`. Run it with `nextflow run FILE -resume`.
-process shard {{
+process RUN_SHARD {{
     cpus {threads}
     errorStrategy 'retry'
     maxRetries {retries}
@@ -160,7 +160,7 @@ process shard {{
     \"\"\"
 }}
 
-process join {{
+process JOIN_SHARDS {{
     input:
     val shards
 
@@ -171,7 +171,12 @@ process join {{
 }}
 
 workflow {{
-    join(shard(Channel.of(1..{n})).collect())
+    JOIN_SHARDS(RUN_SHARD(Channel.of(1..{n})).collect())
 }}
 """
 WORKFLOWS = {"snakemake": _SNAKEMAKE, "nextflow": _NEXTFLOW}
+# Commands stand in texts in which a sign has a meaning of its own.
+_ESCAPED: dict[str, Callable[[str], str]] = {
+    "snakemake": lambda text: text.replace("{", "{{").replace("}", "}}"),
+    "nextflow": lambda text: text.replace("\\", "\\\\").replace("$", "\\$"),
+}
