@@ -76,6 +76,7 @@ def test_netcdf_has_the_documented_layout_and_our_numbers(tmp_path: Path) -> Non
     np.testing.assert_array_equal(found["confidence"].transpose(2, 0, 1), expected(motions, "observed"))
 
 
+@pytest.mark.filterwarnings("ignore:numpy.ndarray size changed")  # of netCDF4, when it is imported
 def test_movement_takes_it_for_its_own(tmp_path: Path) -> None:
     pytest.importorskip("movement", reason="the package movement, which no extra of ours brings")
     xarray = pytest.importorskip("xarray")

@@ -77,7 +77,7 @@ _REFERENCE_FRAME = {
         "Description": "Frame of reference of positions",
         "Levels": {
             "world": {
-                "SpatialAxes": "FLU",
+                "SpatialAxes": "ALS",
                 "RotationOrder": "n/a",
                 "RotationRule": "right-hand",
                 "Description": "The calibrated world: metres, z up, the floor at z = 0",
