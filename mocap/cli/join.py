@@ -18,7 +18,7 @@ def join(
     pieces: Annotated[
         list[Path],
         typer.Argument(
-            metavar="PIECE...", help="Output folders of runs on frames of the session, `--frames a:b`."
+            metavar="PIECE", help="Output folders of runs on frames of the session, `--frames a:b`."
         ),
     ],
     out: OutPath,

@@ -1,7 +1,7 @@
 """A run's files in the programs that they are for: each shows the landmarks where landmarks.csv has them.
 
-Programs that are not installed are skipped. Blender 5.0 (bpy; USD through usd-core 26.11), ezc3d 1.7, OpenSim 4.6, movement
-0.15 and pandas have passed; the largest differences are in outputs.md.
+Programs that are not installed are skipped. Blender 5.0 (bpy; USD through usd-core 26.11), ezc3d 1.7, OpenSim 4.6,
+movement 0.15 and pandas have passed; the largest differences are in outputs.md.
 """
 
 from __future__ import annotations
