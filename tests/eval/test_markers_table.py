@@ -48,7 +48,7 @@ def known_person() -> Prepared:
     world = marker_world(12)
     config = load_config("reference_markers")
     tools = marker_tools(world.body, world.markers, FPS, config)
-    return Prepared(tools, 0, world.states[0], "known", HeightEstimate(1.7, True), {}, ())
+    return Prepared(tools, 0, world.states[0], "known", HeightEstimate(1.7, True), False, {})
 
 
 def test_detector_rates_are_as_configured() -> None:
