@@ -205,7 +205,7 @@ def fit_constants(found: list[Claims]) -> dict[str, tuple[float, float]]:
         edges = np.quantile(m, np.linspace(0, 1, N_BINS + 1))
         group = np.clip(np.searchsorted(edges, m, side="right") - 1, 0, N_BINS - 1)
         best = (np.inf, floor, per_nat)
-        for a in np.arange(0.003, 0.0301, 0.001):
+        for a in np.arange(0.003, 0.0401, 0.001):
             for b in np.arange(0.0, 0.0251, 0.001):
                 squared = (e**2 / (np.maximum(r, 0.0) + (a**2 + (b * m) ** 2)[:, None])).sum(axis=1)
                 cost = 0.0
