@@ -354,7 +354,7 @@ def test_visible_balls_are_yellow(tmp_path: Path) -> None:
     assert not (folder / "detections").exists()
     with (folder / "marker_labels.csv").open() as file:
         labels = list(csv.DictReader(file))
-    n_visible = 0
+    n_visible, n_yellow = 0, 0
     for name in (f"cam_{i}" for i in range(C)):
         views = _views(folder, name)
         picture = cv2.imread(str(folder / "images" / name / "000000.png")).astype(float)
@@ -363,7 +363,8 @@ def test_visible_balls_are_yellow(tmp_path: Path) -> None:
         n_visible += len(seen)
         column, row = np.rint(seen).astype(int).T
         blue, green, red = picture[row, column].T
-        assert (np.minimum(red, green) > 1.5 * blue).mean() > 0.95
+        n_yellow += int((np.minimum(red, green) > 1.5 * blue).sum())
         assert mask[row, column].all()  # balls belong to the silhouette
         assert sum(r["camera"] == name for r in labels) == len(seen)
     assert n_visible > C * M / 3
+    assert n_yellow > 0.95 * n_visible  # a pixel on the rim of a sleeve is half a sleeve
