@@ -90,6 +90,7 @@ def demo(
     started = time.perf_counter()
     from mocap.synth import synthesise
 
+    read_config(preset, None)  # a mistake is said before a minute of drawing
     session = out / "session"
     typer.echo(f"1. Synthesising the scene '{scene}' into {session}")
     with progress_bar() as progress:

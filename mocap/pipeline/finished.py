@@ -79,7 +79,7 @@ def rewrite_scene(
     target = out / "scene.rrd" if path is None else path
     with sole_use(out, f"mocap view {out}"):
         run = open_run(out, session)
-        check_cameras(run.found, pictures)
+        check_cameras(run.found, pictures, "--pictures")
         layers_of = None if particles is None else particle_layers(run, particles)
         write_scene(run.found, target, pictures=pictures, layers_of=layers_of)
     return target
@@ -91,7 +91,7 @@ def write_overlays(
     """A video per camera of a finished run with the bodies drawn in, OUT/overlay_CAMERA.mp4; gives the files."""
     with sole_use(out, f"mocap report {out} --video"), writing(out):
         found = open_run(out, session).found
-        check_cameras(found, cameras)
+        check_cameras(found, cameras, "--cameras")
         return overlay_videos(found, out, cameras=cameras, progress=progress)
 
 
@@ -153,14 +153,15 @@ def doubts_in(out: Path) -> list[Doubt]:
     return doubts_of_all(poses, record.fps, record.config.method.doubt)
 
 
-def check_cameras(found: Found, names: Sequence[str] | None) -> None:
-    """Raises MocapError for a camera that the session does not have."""
+def check_cameras(found: Found, names: Sequence[str] | None, option: str) -> None:
+    """Raises MocapError, which names the option, for a camera that the session does not have."""
+    known = found.session.rig.names
     for name in names or ():
-        if name not in found.session.rig.names:
+        if name not in known:
             raise MocapError(
-                f"the session has no camera {name!r}{did_you_mean(name, found.session.rig.names)}",
+                f"{option}: there is no camera {name!r}{did_you_mean(name, known)}",
                 path=found.session.root,
-                remedy=f"name some of {', '.join(found.session.rig.names)}",
+                remedy=f"name some of {', '.join(known)}",
             )
 
 

@@ -90,6 +90,27 @@ def test_outputs_page_names_every_column_and_score() -> None:
     assert sorted(w for w in words if w not in text) == []
 
 
+def test_bodies_have_the_columns_that_the_pages_say() -> None:
+    from mocap.body import load_body_model, scale_body
+
+    columns = {
+        name: scale_body(load_body_model(name), 1.7).layout.names
+        for name in ("girdle", "anthropometric", "whole")
+    }
+    page = (DOCS / "outputs.md").read_text(encoding="utf-8").replace("\n", " ")
+    told = page.split("In `girdle`: ")[1].split("`anthropometric` has the same")[0]
+    assert tuple(name.strip(" .") for name in told.split(",")) == columns["girdle"]
+    assert set(columns["girdle"]) - set(columns["anthropometric"]) == {
+        f"{side}_clavicle_{axis}" for side in ("left", "right") for axis in "xz"
+    }
+    assert f"D = {len(columns['girdle'])}" in page
+    assert f"D = {len(columns['anthropometric'])}" in page
+    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8").replace("\n", " ")
+    assert (
+        f"{len(columns['girdle'])} degrees of freedom ({len(columns['whole'])} with feet and hands)" in readme
+    )
+
+
 def test_decisions_are_listed_and_numbered() -> None:
     notes = sorted(p.name for p in (DOCS / "decisions").glob("0*.md"))
     assert [n[:4] for n in notes] == [f"{i + 1:04d}" for i in range(len(notes))]

@@ -84,9 +84,9 @@ def test_masks_alone_have_no_video(found: Found, tmp_path: Path) -> None:
 
 
 def test_a_camera_that_is_not_there_is_named(found: Found) -> None:
-    with pytest.raises(MocapError, match="no camera 'cam_9'"):
-        check_cameras(found, ("cam_9",))
-    check_cameras(found, None)
+    with pytest.raises(MocapError, match="--cameras: there is no camera 'cam_9'"):
+        check_cameras(found, ("cam_9",), "--cameras")
+    check_cameras(found, None, "--cameras")
 
 
 def test_the_scene_holds_the_pictures_that_were_asked_for(found: Found) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import builtins
 import importlib.util
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,6 +51,21 @@ def test_writes_a_recording(tmp_path: Path, frame):
     assert content[:4] == b"RRF2"
     assert len(content) > 10_000
     assert [p.name for p in tmp_path.iterdir()] == ["scene.rrd"]
+
+
+@needs_rerun
+def test_the_viewer_opens_with_our_layout(tmp_path: Path):
+    write_rrd(tmp_path / "a.rrd", world.rig(), [])
+    printed = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "print", str(tmp_path / "a.rrd")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    (active,) = [line for line in printed.stdout.splitlines() if "BlueprintActivationCommand" in line]
+    assert "make_active: true" in active
+    assert printed.stdout.count("ViewBlueprint:space_origin") == 1 + len(world.rig())
 
 
 @needs_rerun

@@ -177,6 +177,6 @@ workflow {{
 WORKFLOWS = {"snakemake": _SNAKEMAKE, "nextflow": _NEXTFLOW}
 # Commands stand in texts in which a sign has a meaning of its own.
 _ESCAPED: dict[str, Callable[[str], str]] = {
-    "snakemake": lambda text: text.replace("{", "{{").replace("}", "}}"),
+    "snakemake": lambda text: text.replace("{", "{{").replace("}", "}}"),  # no wildcard
     "nextflow": lambda text: text.replace("\\", "\\\\").replace("$", "\\$"),
 }
