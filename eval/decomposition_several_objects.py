@@ -18,7 +18,7 @@ scene, one SBPS over M of them and how fast the centres move.
 
     python -m eval.decomposition_several_objects [--runs 4] [--only "slow film"]
 
-5 scenes x 4 runs of 150 frames per cell; about 13 minutes on one core; goes on where it stopped.
+5 scenes x 4 runs of 150 frames per cell; about 13 minutes on one core; goes on where it stopped. The page has --runs 2.
 """
 
 from __future__ import annotations
