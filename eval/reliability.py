@@ -148,15 +148,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", default="", help="promises whose key holds this")
     parser.add_argument("--page", action="store_true", help="run no tests")
     options = parser.parse_args(argv)
-    rows = {row["key"]: row for row in _rows(TABLE)}
     for promise in PROMISES:
         if not options.page and options.only in promise.key:
-            rows[promise.key] = counted(promise)
-            print(rows[promise.key], flush=True)
-    known = [rows[p.key] for p in PROMISES if p.key in rows]
-    write_csv(TABLE, FIELDS, known)
+            row = counted(promise)
+            print(row, flush=True)
+            # Written at once: what was counted stays when the command is stopped.
+            rows = {known["key"]: known for known in _rows(TABLE)} | {promise.key: row}
+            write_csv(TABLE, FIELDS, [rows[p.key] for p in PROMISES if p.key in rows])
     write_text(PAGE, page(PAGE.read_text(encoding="utf-8")))
-    return int(any(int(row["failed"]) for row in known))
+    return int(any(int(row["failed"]) for row in _rows(TABLE)))
 
 
 def counted(promise: Promise) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, is_dataclass
 from importlib import resources
@@ -330,7 +331,7 @@ def load_config(preset: str = "default", settings: tuple[str, ...] = ()) -> Conf
         path = Path(f"{preset}.toml")
     else:
         path = Path(preset)
-        if not path.exists() and (meant := did_you_mean(preset, presets())):
+        if not os.path.exists(path) and (meant := did_you_mean(preset, presets())):
             raise MocapError(
                 f"--preset is {preset!r}{meant}",
                 remedy=f"use one of {', '.join(presets())} or the path of a TOML file",

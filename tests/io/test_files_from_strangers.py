@@ -39,6 +39,8 @@ from mocap.io.session import check_session, open_session, read_session_settings
 from mocap.io.tables import read_detections_csv, read_landmarks_csv, read_tracks_csv
 from mocap.io.truth import read_true_voxels
 from mocap.io.video import clip_info, iter_clip
+from mocap.pipeline.cluster import read_sweep_spec
+from mocap.pipeline.config import load_config
 
 # Generous on a busy machine; the promise is one second.
 SOON_S = 5.0
@@ -395,3 +397,16 @@ def test_an_empty_clip_folder_and_a_text_called_picture_are_refused(tmp_path: Pa
     for path in (tmp_path / "a", tmp_path / "b.png"):
         with pytest.raises(MocapError):
             list(iter_clip(path))
+
+
+@pytest.mark.parametrize("name", ["9" * 300, "a/" + "9" * 300 + "/*", "9" * 5000])
+def test_names_that_no_file_system_takes_are_not_there(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "sweep.toml"
+    path.write_text(f'sessions = ["{name}"]')
+    with pytest.raises(MocapError, match="names a session that is not there"):
+        read_sweep_spec(path)
+    path.write_text(f'sessions = ["."]\npresets = ["{name}"]')
+    with pytest.raises(MocapError, match="names a preset that is not there"):
+        read_sweep_spec(path)
+    with pytest.raises(MocapError):
+        load_config(name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -197,11 +198,14 @@ def _sessions(path: Path, patterns: Sequence[str]) -> Iterator[Path]:
 def _matches(path: Path, pattern: str) -> list[Path]:
     """The folders that a pattern of the file at `path` names, at least one."""
     base = Path(pattern) if Path(pattern).is_absolute() else path.parent / pattern
-    if any(c in pattern for c in "*?["):
-        anchor = Path(base.anchor) if base.is_absolute() else Path()
-        matches = sorted(p for p in anchor.glob(str(base.relative_to(base.anchor))) if p.is_dir())
-    else:
-        matches = [base] if base.is_dir() else []
+    anchor = Path(base.anchor) if base.is_absolute() else Path()
+    try:
+        is_pattern = any(c in pattern for c in "*?[")
+        found = sorted(anchor.glob(str(base.relative_to(base.anchor)))) if is_pattern else [base]
+    except OSError:  # a name that no file system takes
+        found = []
+    # `os.path` says of such names that nothing is there, `Path` raises.
+    matches = [place for place in found if os.path.isdir(place)]
     if not matches:
         raise MocapError(
             f"the sweep names a session that is not there: {pattern}",
@@ -215,7 +219,7 @@ def _preset(path: Path, name: str) -> str:
     if name in presets():
         return name
     file = path.parent / name
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise MocapError(
             f"the sweep names a preset that is not there: {name}",
             path=path,
