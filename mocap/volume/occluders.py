@@ -45,9 +45,8 @@ _MIN_LITRES = 2.0
 _FREE_PER_BLOCKED = 9  # at least nine votes of ten: silhouettes have frayed edges
 # How far a person must have gone to give evidence again: a hole in a mask goes with the person.
 _STEP_M = 0.05
-AGAIN_LOOKS = (
-    6  # who stays gives evidence again after so many looks: what is never seen of him cannot be judged
-)
+# Who stays gives evidence again after so many looks: what is never seen of him cannot be judged.
+AGAIN_LOOKS = 6
 _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
 _MANY = 6  # of so many cameras hulls forgive one

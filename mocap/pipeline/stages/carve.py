@@ -47,9 +47,8 @@ _EMPTY_SHARE = 0.1
 _GAP_S = 0.5  # a shorter one is bridged by the track
 _MOST_GAPS = 3  # that are named one by one
 _MIN_CAMERAS = 3
-_HIDDEN_VOTES = (
-    2  # for what hangs on a volume and nobody speaks against: legs that furniture hides from the others
-)
+# For what hangs on a volume and nobody speaks against: legs that furniture hides from the others.
+_HIDDEN_VOTES = 2
 _AROUND_M = 0.9  # how far from a hull the unknown is of interest: the length of a hidden leg
 _REMEDIES = {
     "moved": "calibrate it again from that frame on, or leave these frames out",
