@@ -39,6 +39,11 @@ class Background:
     covered: Mask | None = None
 
     @property
+    def holds_somebody(self) -> bool:
+        """Whether so much was never seen empty that the outlines of who stays there are guesses."""
+        return self.covered is not None and float(self.covered.mean()) > _COVERED_WORTH_A_WORD
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What makes this background doubtful, in words; empty when nothing does."""
         if self.kind == "clip" and self.moving_share > _MOVED_IN_EMPTY:
@@ -48,7 +53,7 @@ class Background:
                 "hardly anything moves in this clip: a person who stays in place is learnt as background; "
                 "record an empty scene",
             )
-        if self.covered is not None and self.covered.mean() > _COVERED_WORTH_A_WORD:
+        if self.covered is not None and self.holds_somebody:
             return (
                 f"{self.covered.mean():.1%} of the picture is never seen empty: somebody stays there, and it counts as "
                 "a person in every frame",

@@ -1,7 +1,8 @@
 """Masks, product `segment`: foreground of every frame and camera.
 
 Per frame `m0 .. mC-1`, (H, ceil(W / 8)) uint8, bits of the masks along rows in rig order; `share` (C,) foreground
-share; `shadow` (C,) shadow share, NaN for masks taken over; `usable` (C,) bool.
+share; `shadow` (C,) shadow share, NaN for masks taken over; `usable` (C,) bool. Attributes: `never_empty`, names of the
+cameras of whose picture a part was never seen empty.
 """
 
 from __future__ import annotations
@@ -38,3 +39,8 @@ def read_masks(store: StageStore, session: Session) -> Iterator[tuple[int, list[
     """Frames and their masks, from the store."""
     for frame, arrays in store.reader(PRODUCT):
         yield frame, masks_from_arrays(arrays, session)
+
+
+def never_empty(store: StageStore) -> tuple[str, ...]:
+    """Cameras of whose picture a part was never seen empty, so that outlines there are guesses."""
+    return tuple(store.reader(PRODUCT).attrs.get("never_empty", ()))

@@ -198,14 +198,15 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
     return tuple(sorted(found, key=lambda f: (f.first_frame, f.camera)))
 
 
-def find_faults(monitor: ConsistencyMonitor) -> tuple[CameraFault, ...]:
+def find_faults(monitor: ConsistencyMonitor, guessed: Sequence[str] = ()) -> tuple[CameraFault, ...]:
     """What `find_camera_faults`, `find_misfits` and `find_exchanged` say of a recording, by first frame.
 
-    A camera that never fits is judged by its outlines, which tell how far it is off.
+    A camera that never fits is judged by its outlines, which tell how far it is off.  guessed : cameras whose outlines
+    are guesses: neither they nor others are judged by them.
     """
     evidence = monitor.evidence()
     faults = find_camera_faults(evidence)
-    misfits = find_misfits(monitor.rig, monitor.mask_samples(), faults, monitor.occluders)
+    misfits = find_misfits(monitor.rig, monitor.mask_samples(), faults, monitor.occluders, guessed)
     # Two that film each other's place look like two that are turned.
     if len(misfits) == 2 or any(fault.kind == "rig" for fault in misfits) or _has_no_volume(evidence):
         misfits = find_exchanged(monitor.rig, evidence, monitor.outlines()) or misfits
@@ -219,16 +220,18 @@ def find_misfits(
     samples: Sequence[MaskSample],
     faults: Sequence[CameraFault] = (),
     occluders: Occluders | None = None,
+    guessed: Sequence[str] = (),
 ) -> tuple[CameraFault, ...]:
     """Cameras that stand elsewhere than their calibration says all the time, of two at most; or that the rig disagrees.
 
     samples : of the whole clip, in order.  faults : known of cameras, which are not judged then, unless a wrong
-    calibration may be the reason.
+    calibration may be the reason.  guessed : cameras whose outlines are guesses, and say nothing.
     """
     if len(samples) < _MIN_FRAMES:
         return ()
-    changing = {f.camera for f in faults if f.kind != "flicker" and not _may_be_calibration(f)}
-    is_well = [name not in changing for name in rig.names]
+    silent = {f.camera for f in faults if f.kind != "flicker" and not _may_be_calibration(f)}
+    silent |= set(guessed)
+    is_well = [name not in silent for name in rig.names]
     samples = [
         replace(sample, masks=[m if w else None for m, w in zip(sample.masks, is_well, strict=True)])
         for sample in samples

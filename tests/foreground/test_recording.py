@@ -75,6 +75,7 @@ def test_the_background_behind_him_is_learnt_as_far_as_it_was_seen() -> None:
     background = background_of_recording(pictures, list(keys_in(silhouettes)))
     assert background.kind == "recording"
     assert background.covered is not None
+    assert background.holds_somebody
     np.testing.assert_array_equal(background.covered, keys_in(silhouettes).all(axis=0))
     off = np.abs(background.mean + 0.5 - wall).max(axis=2)
     assert off[~background.covered].max() < 5 * NOISE

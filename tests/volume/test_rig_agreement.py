@@ -145,6 +145,9 @@ def test_a_misfit_is_a_fault_in_words() -> None:
     # A camera that is known to be black is not asked.
     black = CameraFault("cam_2", "black", 0, 10 * N, True, True)
     assert find_misfits(rig, samples(), [black]) == ()
+    # Nor one whose outlines are guesses, of somebody whom it never shows apart from the background.
+    assert find_misfits(rig, samples(), guessed=("cam_2",)) == ()
+    assert [f.camera for f in find_misfits(rig, samples(), guessed=("cam_4",))] == ["cam_2"]
 
 
 def test_the_monitor_keeps_few_whole_masks_and_where_the_people_are() -> None:

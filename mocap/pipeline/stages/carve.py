@@ -28,7 +28,7 @@ from mocap.pipeline.stage import (
     StageReport,
 )
 from mocap.products.hulls import PRODUCT, hull_attrs, hull_row, stored_faults, stored_grid
-from mocap.products.masks import read_masks
+from mocap.products.masks import never_empty, read_masks
 from mocap.products.occluders import stored_occluders
 from mocap.volume import (
     CameraFault,
@@ -160,13 +160,14 @@ class _Walk:
     """One walk over the clip.
 
     monitor : of the first walk, which looks for bad cameras.  faults : what it has found.  left_out : those whose
-    cameras do not take part.
+    cameras do not take part.  guessed : cameras whose outlines are guesses, by which no calibration is judged.
     """
 
     carving: _Carving
     monitor: ConsistencyMonitor | None
     faults: tuple[CameraFault, ...] = ()
     left_out: tuple[CameraFault, ...] = ()
+    guessed: tuple[str, ...] = ()
 
     def used(self, seen: Seen) -> NDArray[np.bool_]:
         """(C,) the cameras that take part in a frame."""
@@ -199,10 +200,10 @@ def _start(job: Job) -> _Walk:
             f"the volume cannot be carved: {error}",
             remedy="use larger voxels (volume.voxel_size_m), a smaller room (room_bounds_m) or fewer faulty views",
         ) from error
-    monitor = None
-    if config.volume.on_bad_camera != "ignore":
-        monitor = ConsistencyMonitor(session.rig, carving.grid, carving.occluders)
-    return _Walk(carving, monitor)
+    if config.volume.on_bad_camera == "ignore":
+        return _Walk(carving, None)
+    monitor = ConsistencyMonitor(session.rig, carving.grid, carving.occluders)
+    return _Walk(carving, monitor, guessed=never_empty(job.store))
 
 
 def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
@@ -229,7 +230,7 @@ def _finish(walk: _Walk) -> Ending:
     session, config, rig = walk.carving.session, walk.carving.config, walk.carving.rig
     faults = walk.faults
     if walk.monitor is not None:
-        faults = find_faults(walk.monitor)
+        faults = find_faults(walk.monitor, walk.guessed)
         if (
             config.volume.on_bad_camera == "exclude"
             and not usable_cameras(faults, rig.names, np.array(session.frames)).all()

@@ -48,13 +48,15 @@ _LOOK_VOXEL_M = 0.04
 class _Segmenting:
     """One segmenter per camera, which learn as they go; none where masks are taken over.
 
-    look : at all masks of a frame together; None = every camera on its own.
+    look : at all masks of a frame together; None = every camera on its own.  never_empty : names of the cameras of
+    whose picture a part was never seen empty.
     """
 
     segmenters: tuple[Segmenter, ...]
     warnings: tuple[str, ...]
     each: Callable[..., Iterable[Any]]
     look: SecondLook | None = None
+    never_empty: tuple[str, ...] = ()
 
 
 def _reads(job: Job) -> Sources:
@@ -78,7 +80,11 @@ def _start(job: Job) -> _Segmenting:
         for b, camera in zip(backgrounds, session.rig, strict=True)
     )
     return _Segmenting(
-        segmenters, tuple(warnings), job.each, second_look(session) if settings.second_look else None
+        segmenters,
+        tuple(warnings),
+        job.each,
+        second_look(session) if settings.second_look else None,
+        tuple(c.name for b, c in zip(backgrounds, session.rig, strict=True) if b.holds_somebody),
     )
 
 
@@ -120,7 +126,8 @@ def _segmented(segmenter: Segmenter, picture: NDArray[np.uint8]) -> ForegroundMa
 def _finish(state: _Segmenting) -> Ending:
     if not state.segmenters:
         return Ending(attrs={PRODUCT: {"source": "masks"}})
-    return Ending(attrs={PRODUCT: {"source": "images", "warnings": list(state.warnings)}})
+    attrs = {"source": "images", "warnings": list(state.warnings), "never_empty": list(state.never_empty)}
+    return Ending(attrs={PRODUCT: attrs})
 
 
 def region_of_interest(session: Session, camera: Camera) -> NDArray[np.bool_] | None:
