@@ -150,7 +150,8 @@ def table(which: Callable[[Scores], str]) -> list[str]:
 
 
 TABLE_7_1 = """SHBM-APF with 2,200 particle evaluations beside APF with as many, mean error mm ± standard deviation over
-{seeds} seeds, MMTP mm / MMTA %. Published values in italics."""
+{seeds} seeds, MMTP mm / MMTA %. Published values in italics. Measured before decision 55 (`python -m
+eval.shbm_actions`)."""
 
 FIGURE_8_1 = """Means over the five actions and all seeds, MMTP mm / MMTA %. Published at 2,200: SHBM-APF gains 58 %
 in MMTP and 51 % in MMTA."""
@@ -160,7 +161,8 @@ ours below it. *Published* is HumanEva-I; ours are synthetic persons doing the s
 down a column and not single numbers. Averages: published over frames, ours over the five actions where all were
 measured. Rows come from `python -m eval.markers_table_6_3`, `python -m eval.pose_sessions` (test scenes, masks from the
 video, first pose found) and `python -m eval.shbm_against_apf` (development scenes, masks from the video, first pose
-given)."""
+given). Whole runs are of the state that [results](results.md#reading-these-numbers) names, all others of people whose
+joints are those of [decision 55](decisions/0055-synthetic-people-turn-as-skinned-people.md) but where it is said."""
 
 FINDINGS = """\
 - The published order in MMTA, markers before SHBM-APF before APF, does not come out with the printed marker
