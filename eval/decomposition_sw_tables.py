@@ -5,8 +5,8 @@ published order) and decomposition_sw.png.
 
     python -m eval.decomposition_sw_tables [--full] [--workers 2]
 
---quick (default): 3 scenes x 2 runs of 150 frames per cell, K = 3, 5, 7, N = 50, 300; about 8 minutes on one core.
---full: all cells with 5 scenes x 4 runs; about 3 hours on one core.
+--quick (default): 3 scenes x 2 runs of 150 frames per cell, K = 3, 5, 7, N = 50, 300; about 3 minutes on one core, 10
+with --scenes 5 --runs 4, as the page has it.  --full: all cells with 5 scenes x 4 runs; an hour or two.
 Published (SW Table 1, |P_j| = 4, K = 3..7): PS N=50 185-1245 px, SBPS N=50 141-945 px; SBPS is better in all cells.
 """
 

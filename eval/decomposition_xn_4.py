@@ -9,8 +9,8 @@ Writes eval/results/decomposition_xn_4.csv, decomposition_xn_4_ranking.csv and t
     python -m eval.decomposition_xn_4 [--full] [--workers 2]
 
 --quick (default): 3 scenes x 2 runs of 150 frames per cell, K = 3, 6, |P_j| = 3, 8, N = 50, 200, the bushy one of the
-two objects of Figures 4-23 to 4-25; about 8 minutes on one core.
---full: all cells with 5 scenes x 4 runs; about 8 hours on one core.
+two objects of Figures 4-23 to 4-25; about 2 minutes on one core, 5 with
+--scenes 5 --runs 4, as the page has it.  --full: all cells with 5 scenes x 4 runs; hours.
 Published: SBPS below PS and SBAPF below APF everywhere; over |P_j| the best two are SBAPF and SBPS; SBAPF with one
 layer below APF with any number of layers (450 px against more for K = 8, 280 px for |P_j| = 6, N = 300).
 """

@@ -7,8 +7,9 @@ Writes eval/results/decomposition_xn_5.csv, decomposition_xn_5_ranking.csv and P
 
     python -m eval.decomposition_xn_5 [--full] [--workers 2]
 
---quick (default): 3 scenes x 2 runs of 150 frames per cell, a sample of K, |P_j| and N; about 8 minutes on one core
-after eval.decomposition_xn_4.  --full: all cells with 5 scenes x 4 runs; about 6 hours on one core.
+--quick (default): 3 scenes x 2 runs of 150 frames per cell, a sample of K, |P_j| and N; about 2 minutes on one core
+after eval.decomposition_xn_4, 7 with --scenes 5 --runs 4, as the page has it.
+--full: all cells with 5 scenes x 4 runs; hours.
 Published: PFCR has the lowest error in every cell; with N = 50 it is at or below the others' N = 300 (340 against
 350-510 px for K = 8, 288 against 280-340 px for |P_j| = 6); combinatorial resampling reaches at N = 20 the error that
 the other schemes converge to; its time at |P_j| = 8, N = 600 is 22 s against 75-158 s.

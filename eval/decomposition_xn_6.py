@@ -6,9 +6,9 @@ Writes eval/results/decomposition_xn_6.csv, decomposition_xn_6_ranking.csv and d
 
 "As printed" are HAPSOPF and CHAPSOPF without the draw between parts, XN Alg. 6.1 to the letter (decision 31).
 Every method scores each of N particles 4 times: a draw and M = 3 iterations, or 3 annealed layers and the last.
---quick (default): 3 scenes x 2 runs of 150 frames per cell; half an hour on one core; the page has --scenes 5 --runs 1.
-HAPSOPF and CHAPSOPF, which lie close together, get 2 runs on each scene whatever --runs says.
---full: 5 scenes x 4 runs of 300 frames; about 6 hours on one core.
+--quick (default): 3 scenes x 2 runs of 150 frames per cell; half an hour on one core. The page has --scenes 5 --runs 1.
+HAPSOPF and CHAPSOPF, which lie close together, get at least 2 runs on each scene, whatever --runs says.
+--full: 5 scenes x 4 runs of 200 frames; about 2 hours on one core.
 Published: HAPSOPF is the best in 15 of 16 cells; with clutter, |P_j| = 4, K = 4, N = 50: 204 px against 309 (APF), 277
 (HPSO), 254 (APSOPF), 272 (PFAPF), 235 (CHAPSOPF).
 Ours departs in what the sources leave open: the clutter, the weight of the silhouette term (that of the colour), the
