@@ -71,7 +71,7 @@ def marker_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]:
                     skeleton, camera, p.landmarks[i], p.observed[i], label=f"person {p.person}"
                 )
             views = (
-                ("image", image),
+                *((("image", image),) if session.image_sources else ()),
                 ("detections", draw_detections(image, camera, detections[c])),
                 ("fitted body", body),
                 ("skeleton and detections", skeleton),

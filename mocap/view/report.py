@@ -260,9 +260,10 @@ def _pictures_section(data: ReportData, panels: Sequence[FramePanel], width: int
         return faint("No pictures were kept of this run.")
     has_volume = _has(panels, "hull")
     shown, good = _VOLUME_WORDS if has_volume else _POINT_WORDS
+    filmed = "what was filmed, " if _has(panels, "image") else ""
     far = '<span><i class="depth"></i>volume, far to near</span>' if has_volume else ""
     out = (
-        f"<p>The same instant in each camera, from left to right: what was filmed, {shown}. A good run has {good} "
+        f"<p>The same instant in each camera, from left to right: {filmed}{shown}. A good run has {good} "
         "limbs that lie on the person's limbs with left and right not swapped. Select a picture to enlarge it.</p>"
         f'<p class="legend">{_swatches(panels)}{far}</p>'
     )

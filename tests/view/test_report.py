@@ -202,6 +202,7 @@ def test_pictures_of_points_speak_of_no_silhouettes(full):
     )
     assert "points that were detected" in section
     assert "silhouette" not in section
+    assert "what was filmed" in section
     assert "volume" not in section
     assert "silhouettes without holes" in report_html(full)
 
