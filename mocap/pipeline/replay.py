@@ -137,8 +137,11 @@ def _fitting(found: Found, frames: NDArray[np.int64], limit: int) -> tuple[int, 
 
 
 def charts_of(poses: PersonPoses, angles: AngleSeries, fps: float, gait: Gait) -> list[Chart]:
-    """Curves of one person: speed, heights, contacts of feet where the body has them, and the angles that it has."""
-    if not len(poses.frames):
+    """Curves of one person: speed, heights, contacts of feet where the body has them, and the angles that it has.
+
+    A single frame has none.
+    """
+    if len(poses.frames) < 2:
         return []
     charts = [_speed_chart(poses, fps), _height_chart(poses, fps), *_contact_charts(poses, gait, fps)]
     for title, name in _CHARTS:

@@ -424,15 +424,17 @@ def _settings_section(data: ReportData) -> str:
 
 def _people_section(data: ReportData) -> str:
     """Curves and summary of every person."""
-    out = (
-        "<p>The band round a curve holds the truth in 90 % of frames; a curve is dashed where the pictures did not "
-        "show what it says. Select a place in a curve to see that instant in the replay. Angles and signs are defined "
-        "in docs/angles.md; the person's left is blue, the right orange.</p>"
-    )
+    out = ""
+    if any(person.charts for person in data.people):
+        out = (
+            "<p>The band round a curve holds the truth in 90 % of frames; a curve is dashed where the pictures did not "
+            "show what it says. Select a place in a curve to see that instant in the replay. Angles and signs are "
+            "defined in docs/angles.md; the person's left is blue, the right orange.</p>"
+        )
     for i, person in enumerate(data.people):
         rows = person.summary.count("\n") + 1
         out += (
-            f"<h3>{escaped(person.name.capitalize())}</h3>{charts_html(person.charts)}"
+            f"<h3>{escaped(person.name.capitalize())}</h3>{charts_html(person.charts) if person.charts else ''}"
             f'<details><summary>Numbers to copy</summary><p><button type="button" class="copy" '
             f'data-of="summary-{i}">Copy</button></p><textarea class="summary" id="summary-{i}" readonly '
             f'rows="{min(rows, 14)}" aria-label="Numbers of {escaped(person.name)}">{escaped(person.summary)}'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -129,6 +130,10 @@ def test_speed_and_curves_have_gaps_where_nobody_was(found: Found) -> None:
     assert [(c.label, np.nanmax(c.values)) for c in contact.curves] == [("left", 0.9), ("right", 0.3)]
     without = charts_of(poses, angles_of(poses, FPS, AngleSettings()), FPS, Gait(1, None))
     assert {c.title for c in charts} - {c.title for c in without} == {"Foot on the floor"}
+    instant = replace(poses, frames=poses.frames[:1])
+    assert charts_of(instant, angles_of(poses, FPS, AngleSettings()), FPS, gait) == [], (
+        "no lines, no empty grids"
+    )
     assert {"Speed over the floor", "Hip flexion", "Knee flexion", "Pelvis tilt"} <= {c.title for c in charts}
     for chart in charts:
         assert chart.frames.tolist() == list(range(N_FRAMES))
