@@ -121,6 +121,15 @@ def fit_covariance(body: Body, state: Array, information: Array, settings: Devia
     return np.asarray(np.einsum("lri,ij,lcj->lrc", J, np.linalg.inv(information + np.diag(weak)), J))
 
 
+def within_limits(layout: StateLayout, covariance: Array) -> Array:
+    """Covariances of states (T, D, D) in which no angle is less sure than one that may be anywhere between its limits,
+    or anywhere on the circle: what nothing shows does not drift away with the time."""
+    spread = np.where(layout.is_circular, 2.0 * np.pi, layout.upper - layout.lower) / np.sqrt(12.0)
+    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    share = np.minimum(1.0, spread / np.maximum(std, 1e-12))
+    return np.asarray(covariance * share[:, :, None] * share[:, None, :])
+
+
 def widened(covariance: Array, rig_offset_m: float | Array, settings: DeviationSettings) -> Array:
     """Covariances (T, M, 3, 3) m^2 where the cameras do not agree with each other: nobody knows which are right.
 

@@ -16,7 +16,7 @@ from mocap.body.markers import marker_positions
 from mocap.data.keypoints import KEYPOINTS
 from mocap.filters.smoother import smooth_states
 from mocap.likelihood.markers import BundleSettings, bundle
-from mocap.pose.deviation import FrameSeries
+from mocap.pose.deviation import FrameSeries, within_limits
 from mocap.pose.evidence import PersonClip, PersonTools
 from mocap.pose.follow import follow_both_ways, follow_pose, note, unbroken
 from mocap.pose.keypoint import KeypointObservation, KeypointTools, ViewsOf, points_of
@@ -233,6 +233,7 @@ def _smoothed(tools: PersonTools, states: Array, information: Array) -> tuple[Ar
     per_s2 = np.where(body.is_position, numbers.acceleration_m_s2, numbers.acceleration_rad_s2)
     smoothed, covariance = smooth_states(states, information, per_s2 / tools.fps**2, body.layout.is_circular)
     states = np.clip(smoothed, body.layout.lower, body.layout.upper)
+    covariance = within_limits(body.layout, covariance)
     spread = np.array([_of_landmarks(body, s, c) for s, c in zip(states, covariance, strict=True)])
     return states, spread + numbers.model_std_m**2 * np.eye(3)
 

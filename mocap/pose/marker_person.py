@@ -14,7 +14,7 @@ from mocap.body.kinematics import point_jacobian
 from mocap.filters.smoother import smooth_states
 from mocap.likelihood.markers import BundleSettings, bundle_markers
 from mocap.pose.beam import BeamPath, follow_beam
-from mocap.pose.deviation import FrameSeries
+from mocap.pose.deviation import FrameSeries, within_limits
 from mocap.pose.evidence import PersonClip
 from mocap.pose.follow import FramePose, both_ways, follow_pose, unbroken
 from mocap.pose.marker import Fit, MarkerClipObservation, MarkerTools, ObservationOf, observed_landmarks
@@ -489,6 +489,7 @@ def _smoothed(
     body, numbers = tools.body, tools.settings.method.marker_fit
     per_s2 = np.where(body.is_position, numbers.acceleration_m_s2, numbers.acceleration_rad_s2)
     smoothed, covariance = smooth_states(states, information, per_s2 / tools.fps**2, body.layout.is_circular)
+    covariance = within_limits(body.layout, covariance)
     is_smooth = tools.judged_by.smooth
     if is_smooth:
         states = np.clip(smoothed, body.layout.lower, body.layout.upper)

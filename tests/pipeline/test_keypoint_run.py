@@ -10,6 +10,7 @@ import pytest
 from keypoint_world import keypoint_world, write_keypoint_session
 
 from mocap.data import LANDMARKS
+from mocap.data.keypoints import KEYPOINTS
 from mocap.errors import MocapError
 from mocap.io.session import open_session
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
@@ -50,6 +51,31 @@ def test_exact_keypoints_give_the_pose_and_what_a_run_writes(session: Path, tmp_
     again = run_session(session, tmp_path, config=config(), resume=True)
     assert set(again.reused) == {"keypoints", "pose"}
     assert result.warnings == again.warnings
+
+
+def test_what_no_keypoint_shows_is_unsure_within_its_limits(tmp_path: Path) -> None:
+    """A tool without a face: nothing holds the head, and its deviation must not grow with the length of the clip."""
+    world = keypoint_world(60)
+    face = [k for k, name in enumerate(KEYPOINTS) if name in FACE]
+    blank = [[[_without(p, face) for p in view] for view in frame] for frame in world.figures]
+    result = run_session(
+        write_keypoint_session(world, tmp_path / "s", blank), tmp_path / "out", config=config()
+    )
+    (poses,) = result.poses
+    std = np.sqrt(np.trace(poses.landmark_covariance, axis1=2, axis2=3) / 3.0)
+    head, wrist = (LANDMARKS.index(name) for name in ("head", "left_wrist"))
+    assert 3 * std[:, wrist].max() < std[:, head].min()
+    assert std[:, head].max() < 0.3, "the neck is as long at the end as in the beginning"
+    assert not poses.observed[:, head].any()
+
+
+FACE = {"nose", "head", "neck", "left_eye", "right_eye", "left_ear", "right_ear"}
+
+
+def _without(figure: np.ndarray, keypoints: list[int]) -> np.ndarray:
+    out = figure.copy()
+    out[keypoints] = np.nan
+    return out
 
 
 def test_two_cameras_are_enough_and_threads_change_nothing(tmp_path: Path) -> None:
