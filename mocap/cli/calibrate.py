@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -86,7 +87,7 @@ def calibrate(
         Path | None,
         typer.Option(
             "--lenses",
-            help="Lenses that are kept: a calibration file, or a folder of other clips of the board.",
+            help="Lenses that are kept: a calibration file, or a folder of (other) clips of the board.",
         ),
     ] = None,
     lens: Annotated[
@@ -102,11 +103,19 @@ def calibrate(
             "--refine", metavar="SESSION", help="Without a board: put right by the people in a session."
         ),
     ] = None,
+    place: Annotated[
+        Path | None,
+        typer.Option(
+            "--place",
+            metavar="SESSION",
+            help="From nothing but lenses: placed by one person who walks in a session.",
+        ),
+    ] = None,
     calibration: CalibrationOption = None,
     height_m: Annotated[
         float | None,
         typer.Option(
-            "--height-m", min=0.5, max=2.5, help="With --refine: of the tallest person; sets the scale."
+            "--height-m", min=0.5, max=2.5, help="Of the (tallest) person; sets the scale. --place needs it."
         ),
     ] = None,
     picture: Annotated[
@@ -117,17 +126,37 @@ def calibrate(
     """Lenses and places of the cameras from clips of a board that they all film; OUT.html says how good they are.
 
     --refine SESSION corrects the places of a calibration that is off by some degrees and centimetres, from people who
-    walk in the session's clips, and writes a new file.
+    walk in the session's clips, and writes a new file. --place SESSION finds the places from nothing, by one person who
+    walks; lenses must be known.
     """
-    of_board = {"--board": board, "--square-mm": square_mm, "--floor-frame": floor_frame, "--points": points}
-    of_board |= {"BOARD": clips, "--lenses": lenses}
-    of_session = {"--calibration": calibration, "--height-m": height_m, "--picture": picture}
+    of_board: dict[str, object] = {"BOARD": clips, "--floor-frame": floor_frame, "--points": points}
+    of_lenses: dict[str, object] = {"--board": board, "--square-mm": square_mm, "--lenses": lenses}
+    of_session: dict[str, object] = {
+        "--calibration": calibration,
+        "--height-m": height_m,
+        "--picture": picture,
+    }
     if refine is not None:
-        _check_options(of_board, (), "--refine", "leave it out")
+        _check_options(of_board | of_lenses | {"--place": place}, (), "--refine", "leave it out")
         _refine(refine, out, calibration, height_m, frames, picture)
         return
+    if place is not None:
+        _check_options(
+            of_board | {"--calibration": calibration, "--picture": picture},
+            ("--height-m", *(("--board", "--square-mm") if lenses is not None and lenses.is_dir() else ())),
+            "--place",
+            "leave it out",
+            of_session | of_lenses,
+        )
+        assert height_m is not None  # the check above has seen to it
+        _place(place, out, height_m, lenses, board, square_mm, lens, frames)
+        return
     _check_options(
-        of_session, ("BOARD", "--board", "--square-mm"), "a board", "give --refine SESSION", of_board
+        of_session,
+        ("BOARD", "--board", "--square-mm"),
+        "a board",
+        "give --refine SESSION",
+        of_board | of_lenses,
     )
     assert clips is not None  # the check above has seen to it
     assert board is not None
@@ -149,7 +178,7 @@ def _check_options(
         raise MocapError(
             f"{', '.join(missing)} must be given",
             remedy="mocap calibrate CLIPS --board charuco:8x6 --square-mm 46 --floor-frame 12, or without a board "
-            "mocap calibrate --refine SESSION",
+            "mocap calibrate --refine SESSION or --place SESSION --height-m 1.8",
         )
 
 
@@ -191,6 +220,66 @@ def _refine(
         f"Lines of sight {1000 * found.apart_before_m:.1f} -> {1000 * found.apart_after_m:.1f} mm apart; written to "
         f"{out}. Use it: mocap run {session} --calibration {out}"
     )
+
+
+def _place(
+    session: Path,
+    out: Path,
+    height_m: float,
+    lenses: Path | None,
+    board: str | None,
+    square_mm: float | None,
+    lens: str,
+    n_frames: int | None,
+) -> None:
+    """Cameras of a session placed by a person who walks; lenses of a calibration, or of clips of a board."""
+    from mocap.pipeline.refine import N_FRAMES, check_new, place_session, write_refined
+
+    check_new(out)
+    with TemporaryDirectory() as folder, progress_bar() as progress:
+        if lenses is not None and lenses.is_dir():
+            assert board is not None  # the options were checked
+            assert square_mm is not None
+            lenses = _without_places(
+                lenses, Path(folder) / "lenses.toml", board, square_mm, lens, n_frames or 60
+            )
+        placed = place_session(
+            session, height_m=height_m, lenses=lenses, n_frames=n_frames or N_FRAMES, progress=progress
+        )
+    found = placed.refinement
+    for camera in placed.rig:
+        move = found.moves[camera.name]
+        x, y, z = camera.center
+        typer.echo(
+            f"{camera.name}: at ({x:.2f}, {y:.2f}, {z:.2f}) m ± {1000 * move.shift_std_m:.0f} mm, looks there ± "
+            f"{move.turn_std_deg:.2f} degrees; lines of sight {1000 * move.apart_after_m:.1f} mm apart"
+        )
+    write_refined(out, placed)
+    typer.echo(
+        f"Lines of sight meet to {1000 * found.apart_after_m:.1f} mm; written to {out}. The floor is z = 0, the scale "
+        f"is as good as {height_m:.2f} m. Use it: mocap run {session} --calibration {out}"
+    )
+
+
+def _without_places(clips: Path, path: Path, board: str, square_mm: float, lens: str, n_frames: int) -> Path:
+    """Lenses of clips of a board, as a calibration file whose cameras stand in a row that means nothing."""
+    import numpy as np
+
+    from mocap.calibrate import board_from_text, find_clips
+    from mocap.calibrate.lens import MODELS
+    from mocap.data import Camera, CameraRig
+    from mocap.io.calibration import write_calibration
+
+    check_choice("--lens", lens, MODELS)
+    model: LensModel = lens  # type: ignore[assignment]
+    target = board_from_text(board, square_mm)
+    found = _lenses(clips, target, list(find_clips(clips, at_least=1)), model, n_frames)
+    cameras = [
+        Camera(name, own.size, own.K, own.dist, np.eye(3), np.array([float(k), 0, 0]), own.is_fisheye)
+        for k, (name, own) in enumerate(found.items())
+    ]
+    write_calibration(path, CameraRig(tuple(cameras)))
+    return path
 
 
 def _from_board(

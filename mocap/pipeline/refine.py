@@ -1,4 +1,4 @@
-"""A session's calibration refined by the people in it: what cannot be right is refused with the reason."""
+"""Cameras of a session placed, or put right, by the people in it: what cannot be right is refused with the reason."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from mocap.io.calibration import write_calibration
 from mocap.io.session import Session, open_session
 from mocap.pipeline.silhouettes import hulls_of
 from mocap.progress import Progress, no_progress
+from mocap.volume.rig_placement import Placement, PlacementSettings, place_rig
 from mocap.volume.rig_refinement import (
     CameraMove,
     Refinement,
@@ -35,6 +36,11 @@ _CHANCE = 2.5
 _LEAST_TANGENTS = 60
 # Outlines of people fit to a few millimetres; beyond this they are of other people, other times or other lenses.
 _MOST_APART_M = 0.03
+# Of cameras placed from nothing: searches from most cameras must find the same, of somebody who walked about so far
+# (root mean square), with lines of sight that meet (2 to 7 mm on the development sessions) and places that are certain.
+_MOST_PLACED_APART_M = 0.015
+_LEAST_WALKED_M = 0.5
+_MOST_PLACED_STD_M, _MOST_PLACED_STD_DEG = 0.03, 1.0
 # A stated height that the people miss by more is not theirs, or they do not walk upright.
 _MOST_SCALE = 0.15
 
@@ -42,13 +48,15 @@ _MOST_SCALE = 0.15
 @dataclass(frozen=True, eq=False)
 class RefinedSession:
     """refinement : what was found.  rig : its cameras, scaled where a height was stated.  factor : of that scale.
-    n_frames : that were looked at."""
+    n_frames : that were looked at.  source : calibration it came from, of which cameras that are placed keep the lenses
+    alone.  option : of `mocap calibrate`."""
 
     refinement: Refinement
     rig: CameraRig
     factor: float
     n_frames: int
     source: Path
+    option: str = "--refine"
 
 
 def refine_session(
@@ -97,6 +105,38 @@ def refine_from(
     return RefinedSession(found, scaled(found.rig, factor), factor, len(hulls[0]), session.calibration_path)
 
 
+def place_session(
+    session: Path | str,
+    *,
+    height_m: float,
+    lenses: Path | str | None = None,
+    n_frames: int = N_FRAMES,
+    n_threads: int | None = None,
+    progress: Progress = no_progress,
+) -> RefinedSession:
+    """Where the cameras of a session stand and look, from nothing but one person who walks in it.
+
+    height_m : of that person, in shoes.  lenses : calibration whose lenses are used, None = the session's; where its
+    cameras stand is not looked at.  The floor becomes z = 0, the origin lies under the middle of the way.
+    Raises MocapError for a session that cannot be opened, a camera that sees nobody whole, a motion that says too
+    little, and when there is no answer that most searches agree on.
+    """
+    opened = open_session(session, calibration=lenses)
+    hulls, stride = look_at(opened, n_frames=n_frames, n_threads=n_threads, progress=progress)
+    return placed_from(opened, hulls, stride, height_m)
+
+
+def placed_from(session: Session, hulls: list[list[Array]], stride: int, height_m: float) -> RefinedSession:
+    """The cameras placed, or why not, from what `look_at` saw. Raises MocapError as `place_session` does."""
+    settings = PlacementSettings()
+    alike = max(1.0, settings.refinement.alike / stride)
+    found = place_rig(
+        session.rig, hulls, height_m, replace(settings, refinement=replace(settings.refinement, alike=alike))
+    )
+    refinement = _check_placed(found, session)
+    return RefinedSession(refinement, refinement.rig, 1.0, len(hulls[0]), session.calibration_path, "--place")
+
+
 def check_new(path: Path) -> None:
     """Raise MocapError when there is something at the path."""
     if path.exists():
@@ -112,13 +152,16 @@ def write_refined(path: Path, refined: RefinedSession) -> None:
     check_new(path)
     found = refined.refinement
     metadata = {
-        "source": "mocap calibrate --refine",
-        "refined_from": refined.source.name,
+        "source": f"mocap calibrate {refined.option}",
+        "refined_from" if refined.option == "--refine" else "lenses_from": refined.source.name,
         "frames_looked_at": refined.n_frames,
-        "apart_before_mm": round(1000 * found.apart_before_m, 2),
         "apart_after_mm": round(1000 * found.apart_after_m, 2),
-        "scaled_by": round(refined.factor, 5),
     }
+    if refined.option == "--refine":
+        metadata |= {
+            "apart_before_mm": round(1000 * found.apart_before_m, 2),
+            "scaled_by": round(refined.factor, 5),
+        }
     write_calibration(path, refined.rig, metadata=metadata)
 
 
@@ -179,6 +222,46 @@ def _check(found: Refinement, session: Session) -> None:
             path=session.root,
             remedy="keep the calibration: the people in this take agree with it",
         )
+
+
+def _check_placed(found: Placement | None, session: Session) -> Refinement:
+    """Refuse what is no answer."""
+    walk = (
+        "use a take in which one person alone walks all over the room for five seconds or more, upright and whole in "
+        "view of every camera"
+    )
+    if found is None:
+        raise MocapError(
+            "no places of the cameras explain the silhouettes of a walking person",
+            path=session.root,
+            remedy=f"{walk}; see whether the clips are synchronised (`mocap sync` needs places) and the lenses theirs",
+        )
+    for name, move in found.refinement.moves.items():
+        if move.n_tangents < _LEAST_TANGENTS:
+            raise MocapError(
+                f"it shares {move.n_tangents} outlines of the person with other cameras, needed are {_LEAST_TANGENTS}",
+                path=session.root,
+                camera=name,
+                remedy=f"{walk}, or leave the camera out in session.toml: cameras = [...]",
+            )
+    moves = found.refinement.moves.values()
+    shift, turn = max(m.shift_std_m for m in moves), max(m.turn_std_deg for m in moves)
+    apart = found.refinement.apart_after_m
+    reasons = (
+        (
+            2 * found.n_agree <= found.n_begun,
+            f"{found.n_agree} of {found.n_begun} searches find these places",
+        ),
+        (found.walked_m < _LEAST_WALKED_M, f"the person stays within {found.walked_m:.1f} m"),
+        (apart > _MOST_PLACED_APART_M, f"lines of sight miss each other by {1000 * apart:.0f} mm at best"),
+        (
+            shift > _MOST_PLACED_STD_M or turn > _MOST_PLACED_STD_DEG,
+            f"a camera would be uncertain by {1000 * shift:.0f} mm and {turn:.1f} degrees",
+        ),
+    )
+    if why := [words for is_so, words in reasons if is_so]:
+        raise MocapError(f"the cameras cannot be placed: {'; '.join(why)}", path=session.root, remedy=walk)
+    return found.refinement
 
 
 def _is_moved(move: CameraMove) -> bool:

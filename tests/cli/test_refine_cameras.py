@@ -1,7 +1,8 @@
-"""`mocap calibrate --refine`: a calibration that is off, put right by somebody who walks, and what is refused."""
+"""`mocap calibrate --refine` and `--place`: cameras put right, or placed, by somebody who walks; what is refused."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ from small_session import mocap
 
 from eval.bench.scene import person_mask, ring
 from eval.refine_rig import disturbed, pair_angles_deg, place_errors
+from mocap.data import CameraRig
 from mocap.io.calibration import read_calibration, write_calibration
 
 SIZE, FPS, N = (320, 240), 30.0, 90
@@ -106,9 +108,51 @@ def test_exchanged_cameras_are_no_refinement(session: Path, tmp_path: Path) -> N
     assert "no places of the cameras explain" in done.err or "shares" in done.err
 
 
+def lenses(path: Path) -> Path:
+    """The lenses of the rig, whose cameras are said to stand in a row."""
+    places = (replace(camera, R=np.eye(3), t=np.array([k, 0.0, 0.0])) for k, camera in enumerate(RIG))
+    write_calibration(path, CameraRig(tuple(places)))
+    return path
+
+
+def test_cameras_are_placed_from_nothing(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "placed.toml"
+    given = ("--lenses", lenses(tmp_path / "lenses.toml"), "--height-m", HEIGHT_M)
+    done = mocap("calibrate", "--place", session, "-o", out, *given)
+    assert done.code == 0, done.err
+    assert done.out.count("looks there") == len(RIG)
+    found = read_calibration(out)
+    assert pair_angles_deg(found.rig, RIG).max() < 2 * ANGLE_DEG
+    places, scale = place_errors(found.rig, RIG)
+    assert places.max() < 2 * PLACE_M
+    assert abs(scale) < 0.04
+    assert [c.center[2] for c in found.rig] == pytest.approx([c.center[2] for c in RIG], abs=0.1)
+    text = out.read_text(encoding="utf-8")
+    assert 'source = "mocap calibrate --place"' in text
+    assert 'lenses_from = "lenses.toml"' in text
+    again = mocap("calibrate", "--place", session, "-o", out, *given)
+    assert again.code == 2
+    assert "not written over" in again.err
+
+
+def test_who_stands_still_places_no_camera(tmp_path: Path) -> None:
+    root = write_session(tmp_path / "session", walks=False)
+    done = mocap("calibrate", "--place", root, "-o", tmp_path / "placed.toml", "--height-m", HEIGHT_M)
+    assert done.code == 2
+    assert "one person alone walks" in done.err
+    assert not (tmp_path / "placed.toml").exists()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (("--place", "SESSION"), "--height-m must be given"),
+        (("--place", "SESSION", "--height-m", "1.8", "--floor-frame", "3"), "--floor-frame has no meaning"),
+        (
+            ("--place", "SESSION", "--height-m", "1.8", "--lenses", "SESSION"),
+            "--board, --square-mm must be given",
+        ),
+        (("--refine", "SESSION", "--place", "SESSION"), "--place has no meaning"),
         (("--refine", "SESSION", "--board", "7x5"), "--board has no meaning"),
         (("CLIPS", "--refine", "SESSION"), "BOARD has no meaning"),
         (("CLIPS", "--board", "7x5"), "--square-mm must be given"),
