@@ -30,6 +30,7 @@ _EXTRAS = {
     "synth": ("embreex", "synthetic sessions and `mocap demo`"),
     "export": ("ezc3d", "C3D files and meshes of hulls"),
     "usd": ("pxr", "USD files"),
+    "sound": ("av", "`mocap sync --by sound`"),
     "view": ("rerun", "scene.rrd and `mocap view`"),
     "cluster": ("distributed", "`mocap sweep` and `mocap batch` with several workers"),
 }

@@ -1,4 +1,4 @@
-"""Clocks of a session: when each clip began is found from the people in it, and written to session.toml."""
+"""Clocks of a session: when each clip began is found from people, light or sound, and written to session.toml."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,13 @@ from mocap.errors import MocapError, did_you_mean
 from mocap.io._files import atomic_text, writing
 from mocap.io.session import OpenedClips, open_clips, read_session_settings
 from mocap.io.session.timeline import TIMESTAMPS_FILE, differing_rates, own_times
+from mocap.io.sound import loudness_of
 from mocap.io.tables import write_timestamps_csv
 from mocap.io.video import MaskReader, iter_clip, times_in_container
 from mocap.pipeline.silhouettes import foreground
 from mocap.progress import Progress, no_progress
 from mocap.threads import in_parallel
+from mocap.volume.shared_signals import SOUND, Signal, light_settings, synchronise_signals
 from mocap.volume.synchrony import Silhouettes, Synchrony, SynchronySettings, silhouette_hull, synchronise
 
 if TYPE_CHECKING:
@@ -31,6 +33,19 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _IRREGULAR = 0.5  # of a frame: time stamps further from an even rate are those of a clip of varying rate
+By = Literal["people", "light", "sound"]
+_DRAWN: dict[By, str] = {"people": "tangent, m", "light": "brightness", "sound": "loudness"}
+_NOTHING: dict[By, str] = {
+    "people": "nobody moves where two cameras see it",
+    "light": "no flash or lamp stands out in two cameras",
+    "sound": "nothing stands out that two cameras heard",
+}
+_INSTEAD: dict[By, str] = {
+    "people": "film somebody who walks through the room",
+    "light": "flash a light into all cameras, or switch the lamp, once or at uneven intervals",
+    "sound": "clap where all cameras hear it, once or at uneven intervals",
+}
+_COARSE = 8  # every so many pixels tell how bright a picture is
 _TABLES = ("offset_s", "clip_fps")
 _HEADER = re.compile(r"^\s*\[")
 
@@ -40,13 +55,14 @@ class SessionClocks:
     """The clocks that were found.
 
     fps : of the session.  own_times : camera -> (n,) s of its pictures on its own clock.  has_varying_rate : those
-    whose containers say that their pictures do not follow at one rate.
+    whose containers say that their pictures do not follow at one rate.  by : what tells them.
     """
 
     found: Synchrony
     fps: float
     own_times: dict[str, Array]
     has_varying_rate: tuple[str, ...]
+    by: By = "people"
 
     @property
     def off(self) -> tuple[str, ...]:
@@ -64,19 +80,22 @@ def find_clocks(
     session: Path | str,
     *,
     calibration: Path | str | None = None,
+    by: By = "people",
     max_lag_s: float = SynchronySettings.max_lag_s,
     reference: str | None = None,
     n_threads: int | None = None,
     progress: Progress = no_progress,
 ) -> SessionClocks:
-    """When the clips of a session began, and how fast their clocks run, from the silhouettes of people who move.
+    """When the clips of a session began, and how fast their clocks run.
 
-    The clips may differ in length and rate; what session.toml says of clocks is not looked at.  max_lag_s : largest lag
-    that is looked for.  reference : camera on whose clock frames are counted; None = the one that most others agree
-    with.  n_threads : None = up to 2; the result does not depend on it.
-    Raises MocapError for a session that cannot be opened, when nobody moves where two cameras see it, and for a
-    reference that sees nobody move.
-    Source: Sinha and Pollefeys 2004.
+    by : "people" = silhouettes of people who move, which needs to know where cameras stand; "light" = a flash, or a
+    lamp that is switched, in the pictures; "sound" = a clap, or whatever all cameras recorded.  The clips may differ in
+    length and rate; what session.toml says of clocks is not looked at.  max_lag_s : largest lag that is looked for.
+    reference : camera on whose clock frames are counted; None = the one that most others agree with.  n_threads : None
+    = up to 2; the result does not depend on it.
+    Raises MocapError for a session that cannot be opened, when no two cameras share anything that tells clocks, and for
+    a reference that shares nothing.
+    Source: Sinha and Pollefeys 2004 (people); cross-correlation of what stands out (light, sound).
     """
     clips = open_clips(session, calibration=calibration)
     if reference is not None and reference not in clips.rig.names:
@@ -86,6 +105,44 @@ def find_clocks(
             remedy=f"use one of {', '.join(clips.rig.names)}",
         )
     times, varying = _own_times(clips)
+    n_threads = n_threads or min(2, os.cpu_count() or 1)
+    if by == "people":
+        seen = _silhouettes(clips, times, n_threads, progress)
+        found = synchronise(clips.rig, seen, SynchronySettings(max_lag_s=max_lag_s), reference=reference)
+    else:
+        of_each = _brightness if by == "light" else _loudness
+        done = iter(range(len(clips.rig)))
+
+        def signal(name: str) -> Signal:
+            got = of_each(clips, name, times[name])
+            progress(by, next(done) + 1, len(clips.rig))
+            return got
+
+        signals = in_parallel(signal, clips.rig.names, n_threads)
+        settings = SOUND if by == "sound" else light_settings(clips.fps)
+        found = synchronise_signals(
+            clips.rig.names, signals, settings, max_lag_s=max_lag_s, reference=reference
+        )
+    unsure = [name for name, clock in found.clocks.items() if not clock.is_certain]
+    if len(unsure) == len(clips.rig):
+        raise MocapError(
+            f"no clock can be told: {_NOTHING[by]}",
+            path=clips.root,
+            remedy=f"{_INSTEAD[by]}, or write [offset_s] into session.toml by hand",
+        )
+    if reference in unsure:
+        raise MocapError(
+            f"its clock cannot be the reference: {_NOTHING[by]}",
+            path=clips.root,
+            camera=reference,
+            remedy=f"leave --reference out, or name one of {', '.join(n for n in clips.rig.names if n not in unsure)}",
+        )
+    return SessionClocks(found, clips.fps, times, varying, by)
+
+
+def _silhouettes(
+    clips: OpenedClips, times: dict[str, Array], n_threads: int, progress: Progress
+) -> list[Silhouettes]:
     done = iter(range(len(clips.rig)))
 
     def seen(name: str) -> Silhouettes:
@@ -94,23 +151,32 @@ def find_clocks(
         n = min(len(hulls), len(times[name]))
         return Silhouettes(times[name][:n], hulls[:n])
 
-    silhouettes = in_parallel(seen, clips.rig.names, n_threads or min(2, os.cpu_count() or 1))
-    found = synchronise(clips.rig, silhouettes, SynchronySettings(max_lag_s=max_lag_s), reference=reference)
-    unsure = [name for name, clock in found.clocks.items() if not clock.is_certain]
-    if len(unsure) == len(clips.rig):
+    return in_parallel(seen, clips.rig.names, n_threads)
+
+
+def _brightness(clips: OpenedClips, name: str, times: Array) -> Signal:
+    """How bright the pictures of a camera are."""
+    if name not in clips.images:
         raise MocapError(
-            "no clock can be told: nobody moves where two cameras see it",
+            "there are masks and no pictures, so that nothing tells how bright it was",
             path=clips.root,
-            remedy="film somebody who walks through the room, or write [offset_s] into session.toml by hand",
+            camera=name,
+            remedy="leave --by light out: people tell clocks from masks too",
         )
-    if reference in unsure:
+    pictures = iter_clip(clips.images[name], size=clips.rig[name].size, camera=name)
+    level = [float(picture[::_COARSE, ::_COARSE].mean()) for picture in pictures]
+    n = min(len(level), len(times))
+    return Signal(times[:n], np.array(level[:n]))
+
+
+def _loudness(clips: OpenedClips, name: str, times: Array) -> Signal:
+    """How loud it is in the clip of a camera; its first picture is the beginning of its clock."""
+    del times
+    if name not in clips.images:
         raise MocapError(
-            "its clock cannot be the reference: nobody moves where it and another camera see it",
-            path=clips.root,
-            camera=reference,
-            remedy=f"leave --reference out, or name one of {', '.join(n for n in clips.rig.names if n not in unsure)}",
+            "there is no clip with sound", path=clips.root, camera=name, remedy="use --by people"
         )
-    return SessionClocks(found, clips.fps, times, varying)
+    return Signal(*loudness_of(clips.images[name], camera=name))
 
 
 def write_clocks(session: Path | str, clocks: SessionClocks) -> tuple[Path, ...]:
@@ -151,13 +217,14 @@ def _clearest(clocks: SessionClocks, name: str) -> ClockCurve:
     names = tuple(clocks.found.clocks)
     c = names.index(name)
     mine = [(a, b) if a.camera == c else (b, a) for a, b in clocks.found.pairs if c in (a.camera, b.camera)]
-    both = max(mine, key=lambda pair: min(np.isfinite(x.metres).sum() * np.nanstd(x.metres) for x in pair))
+    both = max(mine, key=lambda pair: min(np.isfinite(x.values).sum() * np.nanstd(x.values) for x in pair))
     found = [clocks.found.clocks[names[curve.camera]] for curve in both]
     return ClockCurve(
         names=(name, names[both[1].camera]),
         times_s=(both[0].times_s, both[1].times_s),
         on_clock_s=(found[0].on_clock(both[0].times_s), found[1].on_clock(both[1].times_s)),
-        metres=(both[0].metres, both[1].metres),
+        values=(both[0].values, both[1].values),
+        what=_DRAWN[clocks.by],
         said=f"moved by {found[0].offset_s:+.3f} s",
     )
 

@@ -96,17 +96,17 @@ class ClockEstimate:
 
 
 class Curve(NamedTuple):
-    """Position of one of the two outermost planes of a pair, as one camera sees it.
+    """Position of one of the two outermost planes of a pair, as one camera sees it, or a signal that both share.
 
-    camera, other : places in the rig.  side : -1 lower, 1 upper.  times_s : (n,).  metres : (n,) at the distance of the
-    people, NaN = not seen.
+    camera, other : places in the rig.  side : -1 lower, 1 upper, 0 a signal.  times_s : (n,).  values : (n,) m at the
+    distance of the people, or of the signal; NaN = not seen.
     """
 
     camera: int
     other: int
     side: int
     times_s: Array
-    metres: Array
+    values: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,18 +248,18 @@ def synchronise(
 
 
 def _motion(curve: Curve) -> float:
-    known = curve.metres[np.isfinite(curve.metres)]
+    known = curve.values[np.isfinite(curve.values)]
     return float(known.std()) if len(known) >= 10 else 0.0
 
 
 def _smoothed(curve: Curve, frames: float) -> Curve:
     """A Gaussian over what is known; what is not known stays so."""
-    known = np.isfinite(curve.metres)
-    value = gaussian_filter1d(np.where(known, curve.metres, 0.0), frames, mode="constant")
+    known = np.isfinite(curve.values)
+    value = gaussian_filter1d(np.where(known, curve.values, 0.0), frames, mode="constant")
     weight = gaussian_filter1d(known.astype(np.float64), frames, mode="constant")
     # Next to a gap, or to an end, the mean of the neighbours is one-sided: it would lag.
     sure = known & (weight > 0.9 * min(1.0, weight.max()))
-    return curve._replace(metres=np.where(sure, value / np.maximum(weight, 1e-9), np.nan))
+    return curve._replace(values=np.where(sure, value / np.maximum(weight, 1e-9), np.nan))
 
 
 def _coarse(pairs: Sequence[tuple[Curve, Curve]], n_cameras: int, s: SynchronySettings) -> Array:
@@ -325,7 +325,7 @@ def _cost_of_lags(a: Curve, b: Curve, n: int, s: SynchronySettings) -> Array:
 
 def _sampled(curve: Curve, times_s: Array) -> Array:
     """The curve at other times (n,) of its clock; NaN where a neighbour is not known."""
-    return np.interp(times_s, curve.times_s, curve.metres, left=np.nan, right=np.nan)
+    return np.interp(times_s, curve.times_s, curve.values, left=np.nan, right=np.nan)
 
 
 def _refined(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -123,3 +124,81 @@ def test_a_reference_that_sees_nobody_move_is_refused(make_session: MakeSession)
     assert "cannot be the reference" in done.err
     assert (session / "session.toml").read_bytes() == before
     assert mocap("sync", session, "--dry-run").code == 0
+
+
+LATE_S = {RIG.names[1]: 0.4, RIG.names[2]: 1.1, RIG.names[3]: -0.3}
+FLASHES_S = ((2.0, 2.3), (3.1, 3.2))
+
+
+def write_clips(
+    root: Path, *, with_sound: bool = True, flashes: tuple[tuple[float, float], ...] = FLASHES_S
+) -> Path:
+    """A session of short videos whose cameras began at different times, with a torch, and a clap at each flash."""
+    av = pytest.importorskip("av")
+    (root / "videos").mkdir(parents=True)
+    for n, camera in enumerate(RIG):
+        noise = np.random.default_rng(n)
+        begins = LATE_S.get(camera.name, 0.0)
+        with av.open(str(root / "videos" / f"{camera.name}.mp4"), "w") as container:
+            video = container.add_stream("mpeg4", rate=int(FPS))
+            video.width, video.height = SIZE
+            sound = container.add_stream("aac", rate=16000, layout="mono") if with_sound else None
+            for k in range(150):
+                time = begins + k / FPS
+                level = 60 + 80 * any(a <= time < b for a, b in flashes)
+                picture = noise.integers(level - 3, level + 4, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
+                container.mux(video.encode(av.VideoFrame.from_ndarray(picture)))
+            container.mux(video.encode())
+            if sound is None:
+                continue
+            times = begins + np.arange(round(150 / FPS * 16000)) / 16000
+            wave = noise.normal(0, 1e-3, len(times))
+            for a, _ in flashes:
+                since = times - a
+                wave += np.where(since > 0, np.exp(-np.clip(since, 0, 1) / 0.03), 0) * noise.normal(
+                    0, 0.2, len(times)
+                )
+            frame = av.AudioFrame.from_ndarray(wave[None].astype(np.float32), format="fltp", layout="mono")
+            frame.sample_rate = 16000
+            container.mux(sound.encode(frame))
+            container.mux(sound.encode())
+    write_calibration(root / "calibration.toml", RIG)
+    (root / "session.toml").write_text(f"fps = {FPS}\n", encoding="utf-8")
+    return root
+
+
+def written_offsets(root: Path) -> dict[str, float]:
+    return tomllib.loads((root / "session.toml").read_text(encoding="utf-8"))["offset_s"]
+
+
+@pytest.mark.parametrize(("by", "within_s"), [("light", 0.02), ("sound", 0.003)])
+def test_a_torch_and_a_clap_tell_clocks(by: str, within_s: float, tmp_path: Path) -> None:
+    session = write_clips(tmp_path / "session")
+    done = mocap(
+        "sync", session, "--by", by, "--reference", RIG.names[0], "--picture", tmp_path / "proof.png"
+    )
+    assert done.code == 0, done.err
+    assert cv2.imread(str(tmp_path / "proof.png")) is not None
+    assert written_offsets(session) == pytest.approx(LATE_S, abs=within_s)
+
+
+def test_clips_that_share_nothing_tell_no_clocks(tmp_path: Path) -> None:
+    session = write_clips(tmp_path / "session", with_sound=False, flashes=())
+    dark = mocap("sync", session, "--by", "light")
+    assert dark.code == 2
+    assert "no flash or lamp stands out" in dark.err
+    mute = mocap("sync", session, "--by", "sound")
+    assert mute.code == 2
+    assert "the clip has no sound" in mute.err
+    assert f"camera {RIG.names[0]}" in mute.err
+    unknown = mocap("sync", session, "--by", "smell")
+    assert unknown.code == 2
+    assert "people, light, sound" in unknown.err
+
+
+def test_masks_have_neither_light_nor_sound(make_session: MakeSession) -> None:
+    session = make_session(LATE)
+    for by in ("light", "sound"):
+        done = mocap("sync", session, "--by", by)
+        assert done.code == 2
+        assert "--by" in done.err

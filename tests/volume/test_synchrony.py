@@ -120,7 +120,7 @@ def test_a_silhouette_that_the_border_cuts_has_no_tangent_there() -> None:
         known = [
             p[0].other
             for p in tangent_curves(RIG, seen)
-            if p[0].camera == 0 and np.isfinite(p[0].metres).any()
+            if p[0].camera == 0 and np.isfinite(p[0].values).any()
         ]
         return [known.count(other) for other in range(1, C)]
 
