@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.arrays import Array
-from mocap.data import Camera
+from mocap.data import Camera, CameraRig
 
 LensModel = Literal["radial", "tangential", "fisheye"]
 # Distortion coefficients in OpenCV's order, and which of them each model frees.  A third radial term takes up noise on
@@ -48,6 +48,16 @@ class Lens:
         K[[0, 1, 0, 1], [0, 1, 2, 2]] += step[:4]
         dist[list(_FREE[model])] += step[4:]
         return Lens(self.size, K, dist, self.is_fisheye)
+
+
+def rig_of_lenses(lenses: Mapping[str, Lens]) -> CameraRig:
+    """Cameras that stand in a row, a metre apart, which means nothing: for what only asks for lenses."""
+    return CameraRig(
+        tuple(
+            Camera(name, lens.size, lens.K, lens.dist, np.eye(3), np.array([float(k), 0, 0]), lens.is_fisheye)
+            for k, (name, lens) in enumerate(lenses.items())
+        )
+    )
 
 
 def n_free(model: LensModel) -> int:

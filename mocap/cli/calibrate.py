@@ -262,23 +262,16 @@ def _place(
 
 
 def _without_places(clips: Path, path: Path, board: str, square_mm: float, lens: str, n_frames: int) -> Path:
-    """Lenses of clips of a board, as a calibration file whose cameras stand in a row that means nothing."""
-    import numpy as np
-
+    """Lenses of clips of a board, as a calibration file; places in it mean nothing."""
     from mocap.calibrate import board_from_text, find_clips
-    from mocap.calibrate.lens import MODELS
-    from mocap.data import Camera, CameraRig
+    from mocap.calibrate.lens import MODELS, rig_of_lenses
     from mocap.io.calibration import write_calibration
 
     check_choice("--lens", lens, MODELS)
     model: LensModel = lens  # type: ignore[assignment]
     target = board_from_text(board, square_mm)
     found = _lenses(clips, target, list(find_clips(clips, at_least=1)), model, n_frames)
-    cameras = [
-        Camera(name, own.size, own.K, own.dist, np.eye(3), np.array([float(k), 0, 0]), own.is_fisheye)
-        for k, (name, own) in enumerate(found.items())
-    ]
-    write_calibration(path, CameraRig(tuple(cameras)))
+    write_calibration(path, rig_of_lenses(found))
     return path
 
 

@@ -25,7 +25,6 @@ from mocap.volume.rig_refinement import (
     RefinementSettings,
     outlines_of,
     refine_rig,
-    standing_height_m,
 )
 
 Array = NDArray[np.float64]
@@ -35,8 +34,9 @@ _AXIS = np.array([0.0, 0.0, 1.0])  # of a camera, in its own frame
 _UPS = np.array([[0.0, -1, 0], [1, 0, 0], [-1, 0, 0]])  # upright pictures, and those of a camera on its side
 _FEET_SHARE = 0.25  # of a silhouette, from below
 _LEAST_DEPTH = 0.1  # cosine of the angle to the axis; beyond it a ray is no point of a picture
-_END_POINTS = 4  # of a frame that agree on where the crown is, or the soles
+_END_POINTS = 4  # of a frame that agree on where the soles are
 _N_FITS = 10  # of the robust fit of a level
+_RIDGE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class PlacementSettings:
 
     pitches_deg: tuple[float, float, float] = (-30.0, 60.0, 2.0)
     widest: float = 0.8
-    crown: float = 0.98
+    crown: float = 0.99
     stride_m: float = 0.17
     far_rad: float = 0.06
     n_rounds: int = 4
@@ -134,7 +134,7 @@ def place_rig(
         return None
     best = min(found, key=lambda each: each.apart_after_m)
     agree = sum(_apart_deg(each.rig, best.rig) < s.alike_deg for each in found)
-    stood = _stood(best, height_m, s)
+    stood = _stood(best, seen, height_m, s)
     if stood is None:
         return None
     final = refine_rig(stood, hulls, s.refinement)
@@ -301,52 +301,78 @@ def _apart_deg(one: CameraRig, other: CameraRig) -> float:
     return float(np.degrees(Rotation.from_matrix(np.array(turns)).magnitude().max()))
 
 
-def _stood(found: Refinement, height_m: float, s: PlacementSettings) -> CameraRig | None:
+def _stood(
+    found: Refinement, seen: Sequence[Outlines], height_m: float, s: PlacementSettings
+) -> CameraRig | None:
     """The rig in a world whose floor the soles touch and in which the person is as tall as he is."""
-    turn, shift = _floor(found, s)
-    points = found.points @ turn.T + shift
-    tall = standing_height_m(points, found.frames)
-    if not np.isfinite(tall) or tall <= 0:
+    crowns = _crowns(found.rig, seen, s)
+    if np.isfinite(crowns[:, 0]).sum() < s.least_frames:
         return None
-    cameras = []
-    for camera in found.rig:
-        R = camera.R @ turn.T
-        cameras.append(replace(camera, R=R, t=-R @ ((height_m / tall) * (turn @ camera.center + shift))))
-    return CameraRig(tuple(cameras))
-
-
-def _floor(found: Refinement, s: PlacementSettings) -> tuple[Array, Array]:
-    """Turn (3, 3) and shift (3,) into a world whose floor is z = 0, with the first camera behind the origin.
-
-    People are upright in the mean, and their crowns stay on one level as they walk, to 2 cm; soles do not, half of them
-    are in the air. So crowns say which way is up, along the way, bodies beside it, and soles where the floor is.
-    """
-    levels = found.points[:, 2]
-    ends = []
-    for frame in np.unique(found.frames):
-        own = found.points[found.frames == frame][np.argsort(levels[found.frames == frame])]
-        if len(own) >= 2 * _END_POINTS:
-            ends.append((np.median(own[:_END_POINTS], axis=0), np.median(own[-_END_POINTS:], axis=0)))
-    low, high = np.array(ends or [(np.zeros(3), _AXIS)]).transpose(1, 0, 2)
-    # Where several walk, the highest crown and the lowest sole may be of two.
-    of_one = np.linalg.norm((high - low)[:, :2], axis=1) < s.one_m
-    low, high = (low[of_one], high[of_one]) if of_one.any() else (low, high)
-    middle = np.median(low[:, :2], axis=0)
-    A = np.column_stack([high[:, :2] - middle, np.ones(len(high))])
-    prior = np.diag([s.tilt_rad**-2, s.tilt_rad**-2, 1e-9])
-    body = np.median(high - low, axis=0)
-    upright = np.array([-body[0] / body[2], -body[1] / body[2], 0.0])
-    plane, weight = upright, np.ones(len(high))
-    for _ in range(_N_FITS):
-        known = (A * weight[:, None]).T / (s.refinement.alike * s.bob_m**2)
-        plane = np.linalg.solve(known @ A + prior, known @ high[:, 2] + prior @ upright)
-        weight = 1 / (1 + ((high[:, 2] - A @ plane) / (2 * s.bob_m)) ** 2)
-    up = np.array([-plane[0], -plane[1], 1.0])
-    up /= np.linalg.norm(up)
-    origin = np.array([*middle, 0.0])
-    origin = origin + up * float(np.median((low - origin) @ up))
+    up = _up(crowns, found, s)
+    floor = _floor(found.rig, seen, crowns, up, s)
+    tall = float(np.nanmedian(crowns @ up)) - floor
+    if tall <= 0:
+        return None
+    middle = np.nanmedian(crowns, axis=0)
+    origin = middle + up * (floor - middle @ up)
     ahead = origin - found.rig[0].center
     ahead = ahead - (ahead @ up) * up
     ahead = ahead / np.linalg.norm(ahead)
     turn = np.stack([np.cross(ahead, up), ahead, up])
-    return turn, -turn @ origin
+    cameras = []
+    for camera in found.rig:
+        R, center = camera.R @ turn.T, turn @ (camera.center - origin)
+        cameras.append(replace(camera, R=R, t=-R @ (s.crown * height_m / tall * center)))
+    return CameraRig(tuple(cameras))
+
+
+def _crowns(rig: CameraRig, seen: Sequence[Outlines], s: PlacementSettings) -> Array:
+    """Where lines of sight at the crown are nearest to each other (T, 3), NaN where fewer than two cameras see it."""
+    rays = np.array([_ends(own, c.R[:, 2], s).crown @ c.R for c, own in zip(rig, seen, strict=True)])
+    is_seen = np.isfinite(rays[..., 0])
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    across = np.where(is_seen[..., None, None], across, 0.0)
+    centers = np.array([camera.center for camera in rig])
+    out = np.full((rays.shape[1], 3), np.nan)
+    enough = is_seen.sum(axis=0) >= 2
+    H = across.sum(axis=0)[enough] + _RIDGE * np.eye(3)
+    out[enough] = np.linalg.solve(H, np.einsum("ctij,cj->ti", across, centers)[enough][..., None])[..., 0]
+    return out
+
+
+def _up(crowns: Array, found: Refinement, s: PlacementSettings) -> Array:
+    """Up (3,), unit.
+
+    People are upright in the mean, and their crowns stay on one level as they walk, to 2 cm; soles do not, half of them
+    are in the air. So crowns say which way is up along the way, and bodies beside it.
+    """
+    known = np.flatnonzero(np.isfinite(crowns[:, 0]))
+    at = crowns[known]
+    bodies = []
+    for frame, crown in zip(known, at, strict=True):
+        own = found.points[found.frames == frame]
+        own = own[np.linalg.norm((own - crown)[:, :2], axis=1) < s.one_m]
+        if len(own) >= _END_POINTS:
+            bodies.append(crown - np.median(own[np.argsort(own[:, 2])[:_END_POINTS]], axis=0))
+    body = np.median(bodies, axis=0) if bodies else _AXIS
+    upright = np.array([-body[0] / body[2], -body[1] / body[2], 0.0])
+    A = np.column_stack([at[:, :2] - np.median(at[:, :2], axis=0), np.ones(len(at))])
+    prior = np.diag([s.tilt_rad**-2, s.tilt_rad**-2, _RIDGE])
+    plane, weight = upright, np.ones(len(at))
+    for _ in range(_N_FITS):
+        told = (A * weight[:, None]).T / (s.refinement.alike * s.bob_m**2)
+        plane = np.linalg.solve(told @ A + prior, told @ at[:, 2] + prior @ upright)
+        weight = 1 / (1 + ((at[:, 2] - A @ plane) / (2 * s.bob_m)) ** 2)
+    up = np.array([-plane[0], -plane[1], 1.0])
+    return np.asarray(up / np.linalg.norm(up))
+
+
+def _floor(rig: CameraRig, seen: Sequence[Outlines], crowns: Array, up: Array, s: PlacementSettings) -> float:
+    """Height of the floor along `up` (3,): where each camera sees the nearer sole, below crowns (T, 3)."""
+    heights = []
+    for camera, own in zip(rig, seen, strict=True):
+        at = camera.R @ up
+        away = crowns - camera.center
+        reach = np.linalg.norm(away - (away @ up)[:, None] * up, axis=1) - s.stride_m / 2
+        heights.append(camera.center @ up + reach * _slope(_ends(own, at, s).sole, at))
+    return float(np.nanmedian(heights))

@@ -12,6 +12,8 @@ from small_session import mocap
 
 from eval.bench.scene import person_mask, ring
 from eval.refine_rig import disturbed, pair_angles_deg, place_errors
+from mocap.calibrate import Lens
+from mocap.calibrate.lens import rig_of_lenses
 from mocap.data import CameraRig
 from mocap.io.calibration import read_calibration, write_calibration
 
@@ -167,3 +169,13 @@ def test_options_that_do_not_go_together(
     done = mocap("calibrate", *given, "-o", tmp_path / "out.toml")
     assert done.code == 2
     assert words in done.err
+
+
+def test_lenses_of_a_board_are_a_calibration_whose_places_mean_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "lenses.toml"
+    write_calibration(path, rig_of_lenses({camera.name: Lens.of(camera) for camera in RIG}))
+    read = read_calibration(path).rig
+    assert read.names == RIG.names
+    for own, true in zip(read, RIG, strict=True):
+        np.testing.assert_allclose(own.K, true.K)
+        assert own.size == true.size
