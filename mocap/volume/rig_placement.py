@@ -73,8 +73,8 @@ class PlacementSettings:
 @dataclass(frozen=True, eq=False)
 class Placement:
     """refinement : the cameras in a world whose floor is z = 0, m, and how well they fit.  n_begun, n_agree : searches,
-    each from another camera, and how many of them found this.  walked_m : root mean square distance of what was seen
-    of the person from the middle of his way."""
+    each from another camera, and how many of them found this.  walked_m : root mean square distance of the
+    person's crown from the middle of his way."""
 
     refinement: Refinement
     n_begun: int
@@ -138,8 +138,10 @@ def place_rig(
     if stood is None:
         return None
     final = refine_rig(stood, hulls, s.refinement)
-    way = final.points[:, :2] - np.median(final.points[:, :2], axis=0)
-    return Placement(final, len(rig), agree, float(np.sqrt((way**2).sum(axis=1).mean())))
+    way = _crowns(final.rig, seen, s)[:, :2]
+    way = way[np.isfinite(way[:, 0])]
+    walked = np.sqrt(((way - np.median(way, axis=0)) ** 2).sum(axis=1).mean()) if len(way) else 0.0
+    return Placement(final, len(rig), agree, float(walked))
 
 
 def _ends(seen: Outlines, up: Array, s: PlacementSettings) -> _Ends:
