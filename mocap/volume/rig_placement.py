@@ -313,7 +313,7 @@ def _stood(
     up = _up(crowns, found, s)
     floor = _floor(found.rig, seen, crowns, up, s)
     tall = float(np.nanmedian(crowns @ up)) - floor
-    if tall <= 0:
+    if not tall > 0:  # nor NaN, where no sole is seen
         return None
     middle = np.nanmedian(crowns, axis=0)
     origin = middle + up * (floor - middle @ up)
@@ -357,6 +357,7 @@ def _up(crowns: Array, found: Refinement, s: PlacementSettings) -> Array:
         if len(own) >= _END_POINTS:
             bodies.append(crown - np.median(own[np.argsort(own[:, 2])[:_END_POINTS]], axis=0))
     body = np.median(bodies, axis=0) if bodies else _AXIS
+    body = body if body[2] > 0 else _AXIS  # bodies that hang down are none
     upright = np.array([-body[0] / body[2], -body[1] / body[2], 0.0])
     A = np.column_stack([at[:, :2] - np.median(at[:, :2], axis=0), np.ones(len(at))])
     prior = np.diag([s.tilt_rad**-2, s.tilt_rad**-2, _RIDGE])
@@ -377,4 +378,6 @@ def _floor(rig: CameraRig, seen: Sequence[Outlines], crowns: Array, up: Array, s
         away = crowns - camera.center
         reach = np.linalg.norm(away - (away @ up)[:, None] * up, axis=1) - s.stride_m / 2
         heights.append(camera.center @ up + reach * _slope(_ends(own, at, s).sole, at))
-    return float(np.nanmedian(heights))
+    known = np.concatenate(heights)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else float("nan")
