@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mocap.arrays import Array
 from mocap.errors import MocapError
 from mocap.io.session import Session
 from mocap.io.session.record import Finding
@@ -19,18 +20,22 @@ _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 
 def check_people(session: Session) -> list[Finding]:
     """Whether the outlines of people agree with the calibration, and which mistake explains it when they do not."""
-    frames = session.frames[:_WITHIN]
-    frames = frames[:: max(1, len(frames) // _N_FRAMES)]
     if not session.image_sources and not session.mask_sources:
         return []
     try:
-        hulls = hulls_of(session, frames)
+        hulls = hulls_to_check(session)
     except MocapError as error:
         return [Finding("warning", f"people could not be looked at: {error.message}")]
     found = doubt_rig(session.rig, hulls)
     if np.isnan(found.apart_m):
         return []
     return [_agreement(found), *_size(found)] if found.agrees else [_explanation(found)]
+
+
+def hulls_to_check(session: Session) -> list[list[Array]]:
+    """Hulls of the silhouettes that are looked at, per camera and frame."""
+    frames = session.frames[:_WITHIN]
+    return hulls_of(session, frames[:: max(1, len(frames) // _N_FRAMES)])
 
 
 def _agreement(found: RigDoubt) -> Finding:

@@ -23,7 +23,7 @@ Hulls = Sequence[Sequence[Array]]
 Mistake = Literal["exchanged", "zoom", "mirrored", "upside_down"]
 
 # Ratios of focal lengths that are tried: steps of 3.5 %, which misses an outline by a centimetre at most.
-_ZOOMS = tuple(float(2**power) for power in np.linspace(-1, 1, 41) if abs(power) > 0.1)
+_ZOOMS = tuple(float(2**power) for power in np.linspace(-1, 1, 41) if power)
 _SUSPECTS = 2  # cameras that are off most; a single mistake is theirs
 _USUAL_M = 1.75  # of a person: where people come out larger, so do all distances
 _LEAST_TANGENTS = 100  # of all pairs together; fewer say nothing
