@@ -7,8 +7,9 @@ Writes eval/results/decomposition_as_printed.csv and decomposition_as_printed_ra
 
     python -m eval.decomposition_as_printed [--full] [--workers 2]
 
---quick (default): 3 scenes x 2 runs of 150 frames per cell; about 6 minutes on one core after eval.decomposition_xn_4.
---full: all cells with 5 scenes x 4 runs; about 5 hours.
+--quick (default): 3 scenes x 2 runs of 150 frames per cell; about 2 minutes on one core after
+eval.decomposition_xn_4 and ..._xn_5, 8 with --scenes 5 --runs 4, as the page has it.
+--full: all cells with 5 scenes x 4 runs; hours.
 Published: as in eval.decomposition_xn_4 and eval.decomposition_xn_5.
 """
 

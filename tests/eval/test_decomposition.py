@@ -398,6 +398,7 @@ def test_failing_orders_add_up() -> None:
 def test_the_committed_tables_are_those_of_the_committed_cells() -> None:
     """Every line whose cells are committed, recomputed from them: errors, runs, ratios and verdicts."""
     from eval import (
+        decomposition_as_printed,
         decomposition_own_worlds,
         decomposition_sw_tables,
         decomposition_xn_4,
@@ -411,6 +412,7 @@ def test_the_committed_tables_are_those_of_the_committed_cells() -> None:
         "xn_4": decomposition_xn_4.tables,
         "xn_5": decomposition_xn_5.tables,
         "xn_6": decomposition_xn_6.tables,
+        "as_printed": decomposition_as_printed.as_printed,
         "own_worlds": lambda seeds: [decomposition_own_worlds.own_worlds(seeds)],
     }
     timed = ("resampling_ms", "swapping_ms", "step_ms")
