@@ -25,7 +25,7 @@ from eval.decomposition.statistics import (
     ratio_over_scenes,
     share_that_holds,
 )
-from eval.decomposition.store import RESULTS, Row, cell_key, read_rows
+from eval.decomposition.store import RESULTS, Row, cell_key, cells_of
 from eval.decomposition.tables import CLAIM_FIELDS, Seeds, Table, claim_line, claims_of
 from eval.whole import write_csv
 
@@ -53,7 +53,7 @@ def claims_in(table: Table, rows: Iterable[Row], count: str) -> list[Claim]:
 
 def committed(name: str) -> list[tuple[Table, list[Row]]]:
     """The reported tables of a source with their committed cells; times and tables without orders have none."""
-    known = read_rows(RESULTS / f"decomposition_{name}_cells.csv")
+    known = cells_of(name)
     found = []
     for table in SCRIPTS[name](REPORTED):
         keys = dict.fromkeys(cell_key(cell.key()) for cell in table.cells)

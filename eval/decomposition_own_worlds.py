@@ -15,8 +15,8 @@ Writes eval/results/decomposition_own_worlds.csv, ..._ranking.csv and ..._cells.
 
     python -m eval.decomposition_own_worlds [--runs 4] [--workers 2]
 
-5 scenes x 4 runs of 100 frames per cell, N = 50; about 25 minutes on one core; goes on where it stopped. The page has
---runs 2.
+5 scenes x 4 runs of 100 frames per cell, N = 50, which the page has; about 25 minutes on one core; goes on
+where it stopped.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ import numpy as np
 
 from eval.decomposition.cells import WORLDS, Cell, RunKey, SceneKey, scene_of
 from eval.decomposition.statistics import values
-from eval.decomposition.store import RESULTS, Row, read_rows
+from eval.decomposition.store import RESULTS, Row, cells_of
 from eval.decomposition.tables import Seeds, Table, run_tables, summary
 from eval.decomposition_own_worlds import FIRST_SCENE
 from eval.decomposition_sw_tables import method_of_several, orders_of_several
@@ -123,8 +123,7 @@ def scene_lines(rows: Sequence[Row]) -> list[dict[str, str]]:
 
 def write_scenes() -> None:
     """Scene by scene, from the committed cells of SW Table 3 and of the factors."""
-    files = (RESULTS / f"decomposition_{name}_cells.csv" for name in ("sw", "several_objects"))
-    lines = scene_lines([row for file in files for row in read_rows(file).values()])
+    lines = scene_lines([row for name in ("sw", "several_objects") for row in cells_of(name).values()])
     write_csv(RESULTS / "decomposition_several_objects_scenes.csv", tuple(lines[0]), lines)
 
 

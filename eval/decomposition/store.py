@@ -22,6 +22,8 @@ ROOT = Path(__file__).resolve().parents[2]
 STORE = ROOT / "out" / "eval" / "decomposition" / "cells.csv"
 RESULTS = ROOT / "eval" / "results"
 
+_MOST_LINES = 1500  # of a committed file, 170 kB; more cells go on in ..._part2_cells.csv
+
 Row = dict[str, str]
 CELL_FIELDS = (*KEY_FIELDS, *VALUE_FIELDS)
 
@@ -43,10 +45,31 @@ def known_rows(path: Path = STORE, results: Path = RESULTS) -> dict[tuple[str, .
     return rows | read_rows(path)
 
 
+def cells_of(name: str, results: Path = RESULTS) -> dict[tuple[str, ...], Row]:
+    """The committed cells of an evaluation."""
+    rows: dict[tuple[str, ...], Row] = {}
+    for file in _files(name, results):
+        rows |= read_rows(file)
+    return rows
+
+
 def write_cells(name: str, rows: Iterable[Row], results: Path = RESULTS) -> None:
     """The cells of a finished evaluation beside its table, each once; failed ones are left out."""
     own = {cell_key(row): {f: row[f] for f in CELL_FIELDS} for row in rows if row["status"] == "ok"}
-    write_csv(results / f"decomposition_{name}_cells.csv", CELL_FIELDS, [own[key] for key in sorted(own)])
+    lines = [own[key] for key in sorted(own)]
+    first, *others = _files(name, results)
+    for file in others:
+        file.unlink()
+    write_csv(first, CELL_FIELDS, lines[:_MOST_LINES])
+    for k, begin in enumerate(range(_MOST_LINES, len(lines), _MOST_LINES), start=2):
+        part = results / f"decomposition_{name}_part{k}_cells.csv"
+        write_csv(part, CELL_FIELDS, lines[begin : begin + _MOST_LINES])
+
+
+def _files(name: str, results: Path) -> list[Path]:
+    """Where the cells of an evaluation are, or will be, and where they go on."""
+    first = results / f"decomposition_{name}_cells.csv"
+    return [first, *sorted(results.glob(f"decomposition_{name}_part*_cells.csv"))]
 
 
 def cell_key(row: Row) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from eval.decomposition.statistics import (
     ratio_of_means,
     share_that_holds,
 )
-from eval.decomposition.store import RESULTS, STORE, Row, read_rows, run_cells, write_cells
+from eval.decomposition.store import RESULTS, STORE, Row, cells_of, run_cells, write_cells
 from eval.whole import write_csv
 from mocap.filters import FILTERS
 
@@ -169,7 +169,7 @@ def claims_of(table: Table, rows: Sequence[Row], compare: Compare = ratio_of_mea
 
 def _kept(name: str, cells: Sequence[Cell]) -> list[Row]:
     """Rows of some cells that an earlier call wrote beside its tables."""
-    before = read_rows(RESULTS / f"decomposition_{name}_cells.csv")
+    before = cells_of(name, RESULTS)
     keys = [tuple(cell.key().values()) for cell in cells]
     return [before[key] for key in keys if key in before]
 

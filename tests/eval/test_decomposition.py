@@ -344,6 +344,17 @@ def test_a_check_of_nothing_fails(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "no cell" in capsys.readouterr().err
 
 
+def test_many_cells_go_on_in_another_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "_MOST_LINES", 2)
+    keys = [Cell(TINY, RunKey("ps", n)).key() for n in range(20, 25)]
+    rows = [key | dict.fromkeys(VALUE_FIELDS, "1.5") | {"status": "ok"} for key in keys]
+    store.write_cells("one", rows, tmp_path)
+    assert len(list(tmp_path.glob("*_cells.csv"))) == 3
+    assert list(store.cells_of("one", tmp_path).values()) == rows
+    store.write_cells("one", rows[:1], tmp_path)
+    assert list(store.cells_of("one", tmp_path).values()) == rows[:1]
+
+
 def test_committed_cells_need_no_computing_and_the_store_goes_first(tmp_path: Path) -> None:
     cells = [Cell(TINY, RunKey("ps", n)) for n in (20, 21)]
     rows = [c.key() | dict.fromkeys(VALUE_FIELDS, "1.5") | {"status": "ok"} for c in cells]
@@ -418,7 +429,7 @@ def test_the_committed_tables_are_those_of_the_committed_cells() -> None:
     timed = ("resampling_ms", "swapping_ms", "step_ms")
     checked = []
     for name, tables_of in scripts.items():
-        cells = read_rows(store.RESULTS / f"decomposition_{name}_cells.csv")
+        cells = store.cells_of(name)
         lines = read_csv(store.RESULTS / f"decomposition_{name}.csv")
         orders = read_csv(store.RESULTS / f"decomposition_{name}_ranking.csv")
         is_own = name == "own_worlds"
