@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap.arrays import Array
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra, MocapError
 
 STEP_S = 0.001
 _RATE = 8000  # samples per second that are looked at: a clap is as clear in them, and they cost less
@@ -40,9 +40,8 @@ def _wave(path: Path, camera: str) -> tuple[float, Array]:
     try:
         import av
     except ImportError as error:
-        raise MocapError(
-            "sound needs PyAV, which is not installed",
-            remedy=f"pip install 'mocap-volumes[sound]', or {_OTHERWISE}",
+        raise MissingExtra(
+            "sound needs PyAV, which is not installed", "sound", otherwise=_OTHERWISE
         ) from error
     parts: list[Array] = []
     begins = pictures_begin = 0.0
