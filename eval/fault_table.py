@@ -296,10 +296,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--healthy", action="store_true", help="false alarms instead")
     options = parser.parse_args(argv)
     if options.healthy:
-        rows = []
-        for row in healthy(options.work):
-            rows.append(row)
-            write_csv(RESULTS / "healthy_cameras.csv", list(row), rows)  # what there is, when it is stopped
+        rows = list(healthy(options.work))
+        write_csv(RESULTS / "healthy_cameras.csv", list(rows[0]), rows)
         return 0
     rows = []
     for name in TEST if options.test else DEVELOPMENT:
