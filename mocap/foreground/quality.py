@@ -131,23 +131,31 @@ class _Sums:
             raise ValueError(
                 f"triples: expected three masks of shape {now.shape}, got {before.shape}, {after.shape}"
             )
-        a, b, c = (np.ascontiguousarray(m).view(np.uint8) for m in (before, now, after))
+        window = _window_of(before | now | after)
+        a, b, c = (np.ascontiguousarray(m[window]).view(np.uint8) for m in (before, now, after))
         square = np.ones((_STILL_PX, _STILL_PX), dtype=np.uint8)
         stays_in, stays_out = cv2.erode(a & c, square), 1 - cv2.dilate(a | c, square)
         self.n_flicker += cv2.countNonZero((stays_in & (1 - b)) | (stays_out & b))
         foreground = cv2.countNonZero(b)
         self.n_frames += 1
-        self.n_pixels += b.size
+        self.n_pixels += now.size
         self.n_foreground += foreground
         if foreground:
             area = cv2.connectedComponentsWithStats(b, connectivity=8)[2][1:, cv2.CC_STAT_AREA]
             self.n_small += int(area[area < _SMALL_REGION * area.max()].sum())
             self.n_seen += 1
-            self.n_border += bool(b[0].any() or b[-1].any() or b[:, 0].any() or b[:, -1].any())
+            edges = (now[0], now[-1], now[:, 0], now[:, -1])
+            self.n_border += any(edge.any() for edge in edges)
 
     @property
     def share(self) -> float:
         return _ratio(self.n_foreground, self.n_pixels)
+
+
+def _window_of(mask: Mask) -> tuple[slice, slice]:
+    """Where a mask (H, W) is set, with room about it for the square that must not change."""
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    return slice(max(y - _STILL_PX, 0), y + h + _STILL_PX), slice(max(x - _STILL_PX, 0), x + w + _STILL_PX)
 
 
 def _judged(

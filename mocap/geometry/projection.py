@@ -8,6 +8,8 @@ appear inside the picture.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
@@ -25,8 +27,14 @@ def max_normalised_radius(dist: Array, is_fisheye: bool) -> float:
     Returns tan(angle) for pinhole models and the angle itself (rad) for fisheye; `inf` when it never folds.
     Source: CF Eq. 2.7-2.8 with the radial term of reading guide 1 (k2 r^4).
     """
-    d = np.zeros(8)
-    d[: min(len(dist), 8)] = np.asarray(dist, dtype=np.float64)[:8]
+    coefficients = np.zeros(8)
+    coefficients[: min(len(dist), 8)] = np.asarray(dist, dtype=np.float64)[:8]
+    return _fold(tuple(coefficients.tolist()), is_fisheye)
+
+
+@lru_cache(maxsize=256)
+def _fold(d: tuple[float, ...], is_fisheye: bool) -> float:
+    """`max_normalised_radius` of eight coefficients; looking for it takes longer than projecting a hundred points."""
     if is_fisheye:
         theta = np.linspace(0.0, np.pi, 2001)
         t2 = theta**2

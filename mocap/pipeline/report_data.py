@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from mocap.pipeline.edits.model import EDITS_FILE
@@ -36,16 +37,24 @@ OUTPUT_WORDS = {
 }
 
 
-def write_run_report(result: RunResult, path: Path) -> None:
-    """report.html: what was found, pictures to judge it by, errors where truth exists, timing, settings."""
+def write_run_report(result: RunResult, path: Path, gathered: ReportData | None = None) -> None:
+    """report.html: what was found, pictures to judge it by, errors where truth exists, timing, settings.
+
+    gathered : what `gather_report` gave earlier, None = gather it now.
+    """
+    data = gathered or gather_report(result)
+    names = {"run.json", result.found.store.path.name, *(p.name for p in path.parent.iterdir())}
+    names |= {EDITS_FILE} if result.record.config.edits else set()
+    write_report(path, replace(data, warnings=result.record.warnings, outputs=tuple(_output_words(names))))
+
+
+def gather_report(result: RunResult) -> ReportData:
+    """All that the report shows but what is known last: the warnings, and which files there are."""
     record, found = result.record, result.found
     session = found.session
     n = len(session.frames)
     scores = record.scores or {}
-    silhouettes = silhouette_numbers(record, found)
-    names = {"run.json", found.store.path.name, *(p.name for p in path.parent.iterdir())}
-    names |= {EDITS_FILE} if record.config.edits else set()
-    data = ReportData(
+    return ReportData(
         title=f"Motion capture: {record.session}",
         session=record.session,
         status="complete",
@@ -53,7 +62,6 @@ def write_run_report(result: RunResult, path: Path) -> None:
         n_frames=n,
         n_cameras=len(session.rig),
         fps=session.fps,
-        warnings=record.warnings,
         summary=tuple(_summary(record, found)),
         scores={k: scores[k] for k in REPORT_SCORES if k in scores} or None,
         per_landmark_mm=scores.get("per_landmark_mm"),
@@ -65,17 +73,15 @@ def write_run_report(result: RunResult, path: Path) -> None:
         figures=tuple(run_figures(found)),
         charts=tuple(run_charts(record, found)),
         frames=tuple(frame_panels(found, record.config.output)),
-        outputs=tuple(_output_words(names)),
         command=record.command
         or printable(f"mocap run {session.name} -o {result.out.name} --seed {record.seed}"),
         config_text=json.dumps(record.config.model_dump(mode="json"), indent=1),
         versions=dict(record.versions),
-        silhouettes=silhouettes,
-        replay=replay_of(found) if len(session.frames) else None,
+        silhouettes=silhouette_numbers(record, found),
+        replay=replay_of(found) if n else None,
         people=tuple(_people(record, found)),
         places=tuple(_places(record, found)),
     )
-    write_report(path, data)
 
 
 def _people(record: RunRecord, found: Found) -> Iterator[PersonPage]:

@@ -6,8 +6,8 @@ import json
 import os
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ from mocap.pipeline.record import (
     record_to_json,
     versions,
 )
-from mocap.pipeline.report_data import write_run_report
+from mocap.pipeline.report_data import gather_report, write_run_report
 from mocap.pipeline.resolution import at_useful_size
 from mocap.pipeline.stage import Job, StageReport, is_done
 from mocap.pipeline.walk import run_together, walks
@@ -50,6 +50,7 @@ from mocap.products import tracks as tracks_product
 from mocap.products.poses import stored_poses
 from mocap.profiling import part
 from mocap.progress import Progress, no_progress
+from mocap.threads import AtOnce
 
 
 def run_session(
@@ -166,12 +167,10 @@ def publish_run(
     started = time.perf_counter()
     with part(OUTPUTS), published(out) as folder:
         write_tables(found, job.config, folder, has_poses=until in _WITH_POSES)
-        left_out = write_exports(found, job.config, folder, progress=job.progress) if is_whole else []
         record = _record(job, found, steps, until=until, command=command, scores=scores)
-        record = _warning(record, [*unscored, *left_out])
-        if is_whole and "report" in job.config.output.formats:
-            write = partial(write_run_report, RunResult(record, out, found))
-            record = _warning(record, written_or_why(folder / "report.html", write))
+        record = _warning(record, unscored)
+        if is_whole:
+            record = _written(record, job, found, folder, out)
         files = {*(path.name for path in folder.iterdir()), RUN_FILE}
         record = replace(
             record,
@@ -189,6 +188,21 @@ def publish_run(
         for product in _not_kept(found, job.config.output.keep):
             job.store.remove(product)
     return RunResult(record, out, found)
+
+
+def _written(record: RunRecord, job: Job, found: Found, folder: Path, out: Path) -> RunRecord:
+    """Exports and report in a folder, the latter gathered beside the former; the record with what failed of them."""
+    with ThreadPoolExecutor(1) if job.n_threads > 1 else AtOnce() as beside:
+        with_report = "report" in job.config.output.formats
+        gathered = beside.submit(gather_report, RunResult(record, out, found)) if with_report else None
+        left_out = write_exports(found, job.config, folder, progress=job.progress)
+    record = _warning(record, left_out)
+    if gathered is None:
+        return record
+    path, result = folder / "report.html", RunResult(record, out, found)
+    return _warning(
+        record, written_or_why(path, lambda path: write_run_report(result, path, gathered.result()))
+    )
 
 
 def _not_kept(found: Found, keep: str) -> tuple[str, ...]:

@@ -122,20 +122,22 @@ class Synchrony:
 
 def silhouette_hull(mask: NDArray[np.bool_]) -> Array:
     """Corners (P, 2) px of the convex hull of the large regions of a mask (H, W); (0, 2) when there is none."""
-    n, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    areas = stats[1:, cv2.CC_STAT_AREA]
-    if n < 2 or areas.max() < _LEAST_AREA * mask.size:
+    x, y, w, h = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
+    seen = np.ascontiguousarray(mask[y : y + h, x : x + w]).view(np.uint8)
+    if seen.size == 0:
         return np.zeros((0, 2))
-    keep = np.flatnonzero(areas >= _LEAST_SHARE * areas.max()) + 1
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(seen, connectivity=8)
+    areas = stats[:, cv2.CC_STAT_AREA].copy()
+    areas[0] = 0  # what is no mask
+    if areas.max() < _LEAST_AREA * mask.size:
+        return np.zeros((0, 2))
     # The ends of rows are enough for the hull.
-    kept = np.isin(labels, keep)
+    kept = (areas >= _LEAST_SHARE * areas.max())[labels]
     rows = np.flatnonzero(kept.any(axis=1))
     left = kept[rows].argmax(axis=1)
     right = kept.shape[1] - 1 - kept[rows, ::-1].argmax(axis=1)
-    points = np.concatenate([np.column_stack([left, rows]), np.column_stack([right, rows])]).astype(
-        np.float32
-    )
-    return np.asarray(cv2.convexHull(points).reshape(-1, 2), dtype=np.float64)
+    ends = np.concatenate([np.column_stack([left, rows]), np.column_stack([right, rows])]) + (x, y)
+    return np.asarray(cv2.convexHull(ends.astype(np.float32)).reshape(-1, 2), dtype=np.float64)
 
 
 def focus_of(rig: CameraRig) -> Array:

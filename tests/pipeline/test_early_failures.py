@@ -151,7 +151,7 @@ def test_counts_of_cameras_below_their_least_are_refused(setting: str) -> None:
 # --- one file costs no other ---
 
 
-@pytest.mark.parametrize("name", ["write_bvh", "write_scene", "report"])
+@pytest.mark.parametrize("name", ["write_bvh", "write_scene", "report", "gathering"])
 @pytest.mark.parametrize(
     "error", [MocapError("cannot be done", remedy="none"), TypeError("ascii"), OSError(5, "broken")]
 )
@@ -163,10 +163,12 @@ def test_a_failed_export_costs_no_other(
         raise error
 
     if name == "report":
-        monkeypatch.setattr(run, "write_run_report", lambda result, path: fail(path))
+        monkeypatch.setattr(run, "write_run_report", lambda result, path, gathered: fail(path))
+    elif name == "gathering":
+        monkeypatch.setattr(run, "gather_report", lambda result: fail(tmp_path / "elsewhere"))
     else:
         monkeypatch.setattr(outputs, name, fail)
-    failed = {"write_bvh": "person_1.bvh", "write_scene": "scene.rrd", "report": "report.html"}[name]
+    failed = {"write_bvh": "person_1.bvh", "write_scene": "scene.rrd"}.get(name, "report.html")
     formats = 'output.formats=["bvh", "trc", "rrd", "report"]'
     result = run_session(session, tmp_path / "out", config=config(formats))
     written = {p.name for p in (tmp_path / "out").iterdir()}
