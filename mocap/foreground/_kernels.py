@@ -58,6 +58,22 @@ def robust_statistics(samples, far, mean, std, moved):
         moved[i] = np.uint8(np.int32(values[n - 1]) - center > far or center - np.int32(values[0]) > far)
 
 
+@njit(cache=True, nogil=True)
+def medians(samples, out):
+    """Medians (m,) float32, out, of samples (n, m) float32."""
+    n, m = samples.shape
+    values = np.empty(n, dtype=np.float32)
+    for i in range(m):
+        for k in range(n):
+            x = samples[k, i]
+            j = k
+            while j > 0 and values[j - 1] > x:
+                values[j] = values[j - 1]
+                j -= 1
+            values[j] = x
+        out[i] = (values[(n - 1) // 2] + values[n // 2]) / np.float32(2)
+
+
 CLEAR, RIM, PERSON = 1, 2, 3  # of a pixel of a key picture; 0 = no key picture
 
 

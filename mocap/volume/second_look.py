@@ -72,15 +72,18 @@ class SecondLook:
             mask | _mostly(shadow & there & ~lying, shadow)
             for mask, shadow, there, lying in zip(masks, shadows, person, floor, strict=True)
         ]
+        seen = [mask | shadow for mask, shadow in zip(whole, shadows, strict=True)]
         return [
-            mask & ~self._contact_shadow(c, whole, shadows, mask & doubt & ~there)
+            mask & ~self._contact_shadow(c, whole, seen, mask & doubt & ~there)
             for c, (mask, doubt, there) in enumerate(zip(whole, doubtful, person, strict=True))
         ]
 
-    def _contact_shadow(self, c: int, masks: Sequence[Mask], shadows: Sequence[Mask], asked: Mask) -> Mask:
-        """Which of the asked pixels (H, W) of a camera show the floor at somebody's feet, as the others see it."""
+    def _contact_shadow(self, c: int, masks: Sequence[Mask], seen: Sequence[Mask], asked: Mask) -> Mask:
+        """Which of the asked pixels (H, W) of a camera show the floor at somebody's feet, as the others see it.
+
+        seen : (H, W) bool per camera, mask or shadow.
+        """
         pixels, floor = self._floor_behind(c, np.flatnonzero(asked))
-        seen = [mask | shadow for mask, shadow in zip(masks, shadows, strict=True)]
         n_bare, n_others = self._votes_against(c, floor, seen)
         shows = (n_bare <= _BARE) & (n_others >= _LEAST_OTHERS)
         pixels, floor = pixels[shows], floor[shows]
