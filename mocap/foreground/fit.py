@@ -101,7 +101,9 @@ def _in_light_of(mean: NDArray[np.float32], picture: Image) -> NDArray[np.float3
 
 def _grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Fine structure of a picture: its brightness less that of the surroundings, cut off at both ends."""
-    grey = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(3)  # the mean, five times as fast
+    grey = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(
+        3
+    )  # the mean, five times as fast
     return np.clip(grey - cv2.GaussianBlur(grey, (0, 0), 8.0), -_FAR, _FAR)
 
 
@@ -163,5 +165,7 @@ def _gone(differs: Mask, mean: NDArray[np.float32], usual: NDArray[np.float32]) 
 
 def _edges(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Steepness of the brightness, (H, W)."""
-    grey = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(3)  # the mean, five times as fast
+    grey = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(
+        3
+    )  # the mean, five times as fast
     return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))

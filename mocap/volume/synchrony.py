@@ -136,8 +136,9 @@ def silhouette_hull(mask: NDArray[np.bool_]) -> Array:
     rows = np.flatnonzero(kept.any(axis=1))
     left = kept[rows].argmax(axis=1)
     right = kept.shape[1] - 1 - kept[rows, ::-1].argmax(axis=1)
-    ends = np.concatenate([np.column_stack([left, rows]), np.column_stack([right, rows])]) + (x, y)
-    return np.asarray(cv2.convexHull(ends.astype(np.float32)).reshape(-1, 2), dtype=np.float64)
+    ends = np.concatenate([np.column_stack([left, rows]), np.column_stack([right, rows])])
+    corners = cv2.convexHull((ends + np.array([x, y])).astype(np.float32))
+    return np.asarray(corners.reshape(-1, 2), dtype=np.float64)
 
 
 def focus_of(rig: CameraRig) -> Array:
