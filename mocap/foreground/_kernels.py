@@ -122,10 +122,8 @@ def free_statistics(samples, cover, far, mean, std, n_free):
 
 
 CELL = 16  # side of the square cells that are searched for differences, px
-SHADOW, DOUBTFUL = (
-    np.uint8(1),
-    np.uint8(2),
-)  # a shadow; foreground that has a shadow's own darkness and colour
+SHADOW = np.uint8(1)
+DOUBTFUL = np.uint8(2)  # foreground that has a shadow's own darkness and colour
 _LEVELS = 16  # fixed point of colour residuals: 1/16 grey level at best
 _RATIO = 1024  # fixed point of brightness ratios
 _SATURATED = 250  # grey level from which on a value may stand for a brighter one

@@ -13,7 +13,7 @@ from mocap.io.session import Session
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.io.truth import read_true_voxels
 from mocap.pipeline.config import Config
-from mocap.pipeline.pose_settings import check_filter
+from mocap.pipeline.pose_settings import check_filter, stated_height_m
 from mocap.pipeline.publish import check_replaceable
 from mocap.pipeline.stages.carve import faulty_views, grid_of
 from mocap.portable import total_memory_bytes
@@ -79,7 +79,7 @@ def check_flesh(session: Session, config: Config, kind: str) -> None:
     if kind in ("markers", "keypoints") or spacing_m < _FINE_M:
         return
     model = load_body_model(config.body_model("voxels"))
-    height_m = config.body.height_m or model.height_m or session.person_height_m or DEFAULT_HEIGHT_M
+    height_m = stated_height_m(config, model, session) or DEFAULT_HEIGHT_M
     try:
         build_look_up_table(scale_body(model, height_m), spacing_m)
     except ValueError as error:

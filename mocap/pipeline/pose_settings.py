@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from mocap.body import Body, load_body_model, load_hierarchy, load_limbs, scale_body
+from mocap.body import Body, BodyModel, load_body_model, load_hierarchy, load_limbs, scale_body
 from mocap.body.markers import Markers, load_marker_set, place_markers
 from mocap.data import StateLayout, VoxelGrid
 from mocap.data.hierarchy import Hierarchy, levels_on, limbs_on
 from mocap.errors import MocapError, did_you_mean
 from mocap.filters import FILTERS, FilterBudget
 from mocap.filters.limb_settings import LimbSettings, own_data_limits
+from mocap.io.session import Session
 from mocap.likelihood.voxels import VoxelLikelihoodSettings
 from mocap.pipeline.config import Config, LikelihoodConfig, MarkersConfig, PoseConfig
 from mocap.pose.marker import MarkerTools
@@ -134,6 +135,11 @@ def marker_settings(config: MarkersConfig) -> MarkerSettings:
         fit_frames=config.fit_frames,
         smooth=config.smooth,
     )
+
+
+def stated_height_m(config: Config, model: BodyModel, session: Session) -> float | None:
+    """The height that the settings, else the body file, else the session state; None = it is to be measured."""
+    return config.body.height_m or model.height_m or session.person_height_m
 
 
 def make_tools(

@@ -2,20 +2,21 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from flesh_voxels import make_flesh
 
-from mocap.body import neutral_state
+from mocap.body import load_body_model, neutral_state
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
 from mocap.filters import FILTERS, FilterBudget, FilterInfo, FilterSettings, ParticleState, filter_settings
 from mocap.filters.ddma import DdmaSettings, DdmaState, ShbmDdmaSettings
 from mocap.filters.shbm import ShbmSettings
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig, load_config
-from mocap.pipeline.pose_settings import filter_budget, make_tools
+from mocap.pipeline.pose_settings import filter_budget, make_tools, stated_height_m
 from mocap.pose.follow import follow_pose
 from mocap.pose.person import VolumeClip
 from mocap.pose.volume import VolumeObservation
@@ -31,6 +32,20 @@ def settings_of(pose: PoseConfig) -> FilterSettings:
 
 def settings(**keys: object) -> object:
     return settings_of(PoseConfig(**keys))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("setting", "of_body", "of_session", "stated"),
+    [(1.6, 1.7, 1.8, 1.6), (None, 1.7, 1.8, 1.7), (None, None, 1.8, 1.8), (None, None, None, None)],
+)
+def test_the_height_that_is_stated_nearest_to_the_run_counts(
+    setting: float | None, of_body: float | None, of_session: float | None, stated: float | None
+) -> None:
+    config = load_config()
+    config = config.model_copy(update={"body": config.body.model_copy(update={"height_m": setting})})
+    model = load_body_model("anthropometric").model_copy(update={"height_m": of_body})
+    session = SimpleNamespace(person_height_m=of_session)
+    assert stated_height_m(config, model, session) == stated  # type: ignore[arg-type]
 
 
 def test_the_preset_is_the_published_run() -> None:

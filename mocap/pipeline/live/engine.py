@@ -22,7 +22,7 @@ from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import Config
 from mocap.pipeline.live.pairing import PictureSet
-from mocap.pipeline.pose_settings import make_tools
+from mocap.pipeline.pose_settings import make_tools, stated_height_m
 from mocap.pipeline.stage import Arrays, Job, Seen
 from mocap.pipeline.stages.carve import CARVE, grid_of
 from mocap.pipeline.stages.pose import PersonViews
@@ -195,7 +195,7 @@ class Engine:
         """Who follows a person; the last who was seen stands last."""
         follower = self._persons.pop(person, None)
         if follower is None:
-            sized = load_body_model(self.config.body_model("voxels")).height_m
+            model = load_body_model(self.config.body_model("voxels"))
             follower = ForwardPerson(
                 person,
                 self._grid,
@@ -203,7 +203,7 @@ class Engine:
                 self._searches,
                 seed=self._seed,
                 settings=self._forward,
-                given_m=self.config.body.height_m or sized or self.session.person_height_m,
+                given_m=stated_height_m(self.config, model, self.session),
             )
         self._persons[person] = follower
         while len(self._persons) > _MOST_PERSONS:

@@ -20,7 +20,7 @@ from mocap.likelihood.keypoints import KeypointViews
 from mocap.likelihood.markers import MarkerViews, marker_views, undistort
 from mocap.pipeline.config import Config
 from mocap.pipeline.edits.followed import solve_persons
-from mocap.pipeline.pose_settings import pose_settings
+from mocap.pipeline.pose_settings import pose_settings, stated_height_m
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.pipeline.stages.pose import poses_report, tracks_of_flesh
 from mocap.pose.edits import EvidenceOf
@@ -83,7 +83,7 @@ class KeypointWork:
     def follow(self, tracks: Tracks) -> list[FollowedPerson]:
         """Every person who can be followed, one after the other."""
         session, config = self.job.session, self.job.config
-        given = load_body_model(config.body_model("keypoints")).height_m
+        given = stated_height_m(config, load_body_model(config.body_model("keypoints")), session)
         done = 0
 
         def tick(n: int) -> None:
@@ -95,7 +95,7 @@ class KeypointWork:
             follow_keypoints(
                 PersonKeypoints(person, tracks.of(person).frame, self.views_of(person)),
                 lambda height_m: person_tools(config, session.fps, height_m),
-                height_m=config.body.height_m or given or session.person_height_m,
+                height_m=given,
                 seed=self.job.seed,
                 progress=tick,
             )

@@ -14,7 +14,7 @@ from mocap.body.markers import load_marker_set, place_markers
 from mocap.data import Tracks
 from mocap.likelihood.markers import MarkerObservation, marker_views, observe
 from mocap.pipeline.edits.followed import solve_persons
-from mocap.pipeline.pose_settings import make_marker_tools, marker_tools
+from mocap.pipeline.pose_settings import make_marker_tools, marker_tools, stated_height_m
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.pipeline.stages.pose import poses_report, tracks_of_flesh
 from mocap.pose.edits import EvidenceOf
@@ -109,9 +109,7 @@ class MarkerWork:
             range(int(frames[0]), int(frames[-1]) + 1),
             lambda frame: self.observation_of(frame) if frame in is_own else nothing,
             lambda height_m: make_marker_tools(config, session.fps, height_m),
-            height_m=config.body.height_m
-            or load_body_model(config.body_model("markers")).height_m
-            or session.person_height_m,
+            height_m=stated_height_m(config, load_body_model(config.body_model("markers")), session),
             seed=job.seed,
             is_fitted=config.body.marker_offsets == "fit",
             progress=lambda done, total: job.progress("pose", done, total),

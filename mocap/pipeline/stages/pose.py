@@ -22,7 +22,7 @@ from mocap.io.store import StageStore
 from mocap.likelihood.colours import PixelRays, person_rays
 from mocap.likelihood.residuals import OutlineFitSettings, Outlines, person_outlines, pinhole_view
 from mocap.pipeline.edits.followed import solve_persons
-from mocap.pipeline.pose_settings import make_tools, pose_settings
+from mocap.pipeline.pose_settings import make_tools, pose_settings, stated_height_m
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.pose.deviation import widened
 from mocap.pose.evidence import PersonTools
@@ -132,11 +132,7 @@ class PoseWork:
         """
         config, session = self.job.config, self.job.session
         grid, n_threads = stored_grid(self.job.store), self.job.n_threads
-        given = (
-            config.body.height_m
-            or load_body_model(config.body_model("voxels")).height_m
-            or session.person_height_m
-        )
+        given = stated_height_m(config, load_body_model(config.body_model("voxels")), session)
         n_of_person = n_threads if len(tracks.persons) < 2 else 1
         n_total = len(tracks)
         done, counting = 0, Lock()
