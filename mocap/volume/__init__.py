@@ -4,6 +4,7 @@ from mocap.volume.camera_faults import (
     CameraFault,
     find_camera_faults,
     find_faults,
+    find_late,
     find_misfits,
     usable_cameras,
 )
@@ -39,6 +40,7 @@ __all__ = [
     "default_min_views",
     "find_camera_faults",
     "find_faults",
+    "find_late",
     "find_misfits",
     "hull_mesh",
     "learn_occluders",

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mocap.data import CameraRig, Occluders
 from mocap.volume.consistency import (
+    FRAME_S,
     MAX_LAG_FRAMES,
     MIN_CELLS,
     SHRINK,
@@ -28,6 +29,7 @@ from mocap.volume.consistency import (
 )
 from mocap.volume.rig_agreement import MaskSample, Misfit, rig_agreement
 from mocap.volume.rig_doubts import doubt_rig
+from mocap.volume.synchrony import SynchronySettings, synchronise
 
 Array = NDArray[np.float64]
 Kind = Literal[
@@ -72,6 +74,9 @@ _FROZEN_PICTURE_SHARE = 0.25
 _BLACK_LEVEL, _BLACK_CONTRAST = 16.0, 6.0
 # Background shift: cells (of 4 px) that count as moved; the noise on steady cameras is below 0.2.
 _MOVED_CELLS = 0.5
+# A camera that moves shifts all of its background alike: most points by the median, but for so many cells or such a
+# share of it. A shadow or a light that creeps over a wall moves some points and not others.
+_ALIKE_CELLS, _ALIKE_SHARE, _MOST = 0.25, 0.3, 0.6
 _MIN_POINTS = 6
 _N_LOOKS = 16
 # One camera of seven off by so much costs less than doing without it (`python -m eval.fault_table`: 1.3 and 1.7 cm).
@@ -81,6 +86,10 @@ _HARMLESS_M = 0.025
 _REPEATED_SHARE = 0.1
 _JUMP, _JUMP_SHARE = 0.1, 0.25
 _STILL_SHARE = 0.6  # of the snapshots in which a cell is foreground
+# Clocks are looked for as far as silhouettes are, where outlines overlap by half a second, and one must be off by more
+# than the half frame between neighbouring pictures, and another for what a lag of one frame costs.
+_CLOCKS = SynchronySettings(max_lag_s=MAX_LAG_FRAMES * FRAME_S, least_overlap_s=0.5)
+_LATE_FRAMES = 1.5
 
 
 @dataclass(frozen=True)
@@ -213,6 +222,27 @@ def find_faults(monitor: ConsistencyMonitor, guessed: Sequence[str] = ()) -> tup
     named = {fault.camera for fault in misfits if fault.camera}
     faults = tuple(f for f in faults if f.camera not in named)
     return tuple(sorted(faults + misfits, key=lambda f: (f.first_frame, f.camera)))
+
+
+def find_late(monitor: ConsistencyMonitor, faults: Sequence[CameraFault]) -> tuple[CameraFault, ...]:
+    """The cameras that lag or are early for certain, when several are blamed or nobody can be.
+
+    Two cameras that are late make healthy ones look early, as the hull of the others is of two moments. Clocks know
+    nothing of volumes: they come from what pairs of cameras see, solved for all of them at once, and whose clock most
+    others share is right.  faults : what is said of the cameras.
+    """
+    blamed = {f.camera for f in faults if f.kind in ("lag", "rate", "moved", "misfit", "scene", "rig")}
+    if "" in blamed:
+        blamed = set(monitor.rig.names)
+    if len(blamed) < 2:
+        return ()
+    first, *_, last = monitor.evidence().frames.tolist()
+    late = []
+    for name, clock in synchronise(monitor.rig, monitor.silhouettes(), _CLOCKS).clocks.items():
+        lag = -clock.offset_s / FRAME_S
+        if name in blamed and clock.is_off and abs(lag) > _LATE_FRAMES:
+            late.append(CameraFault(name, "lag", first, last, True, True, lag_frames=round(lag)))
+    return tuple(late) if 2 * len(late) < len(monitor.rig) else ()
 
 
 def find_misfits(
@@ -622,9 +652,9 @@ def background_shift(before: Snapshot, after: Snapshot, c: int) -> Array | None:
     if len(shifts) < _MIN_POINTS:
         return None
     median = np.median(shifts, axis=0)
-    if np.mean(np.linalg.norm(shifts - median, axis=1) < max(_MOVED_CELLS, 0.3 * np.hypot(*median))) < 0.6:
-        return None
-    return median
+    size = float(np.hypot(*median))
+    alike = max(_ALIKE_CELLS, _ALIKE_SHARE * size) if size > _MOVED_CELLS else _MOVED_CELLS
+    return median if np.mean(np.linalg.norm(shifts - median, axis=1) < alike) >= _MOST else None
 
 
 def _silhouette_shift(

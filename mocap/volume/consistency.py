@@ -20,7 +20,7 @@ from mocap.data import CameraRig, Occluders, VoxelGrid
 from mocap.volume import _kernels
 from mocap.volume.carve import Carver, check_masks
 from mocap.volume.rig_agreement import MaskSample
-from mocap.volume.synchrony import silhouette_hull
+from mocap.volume.synchrony import Silhouettes, silhouette_hull
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,8 +41,13 @@ _SAMPLE_STEPS = (16, 4)  # every so many rows and columns of a picture are looke
 _MAX_SNAPSHOTS = 96
 # Whole masks: 24 of seven cameras of 640 x 480 are 6 MB of bits, and 12 to 24 frames tell a shift of 2 cm.
 _MAX_SAMPLES = 24
-# Frames whose outlines are kept as convex hulls: as many as `mocap check` looks at, a few kB each.
-_MAX_OUTLINES = 48
+# Outlines are kept as convex hulls, a few kB a frame, of frames that follow each other, as clocks are told from motion:
+# 1.6 s at 30 frames a second, some times over the recording.
+_BURST_FRAMES, _MAX_BURSTS = 48, 8
+_MAX_OUTLINES = 48  # of them: as many as `mocap check` looks at
+FRAME_S = (
+    1 / 30
+)  # of a clock that counts frames: what smooths curves is measured for pictures of about this rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +121,8 @@ class ConsistencyMonitor:
         self._samples: tuple[Image, ...] | None = None
         self._snapshots = _Spread[Snapshot](_MAX_SNAPSHOTS)
         self._samples_of_masks = _Spread[_Packed](_MAX_SAMPLES)
-        self._outlines = _Spread[list[Array]](_MAX_OUTLINES)
+        self._bursts = _Spread[list[list[Array]]](_MAX_BURSTS)
+        self._burst: list[list[Array]] | None = None
         self._places: Array = np.zeros((0, 3))
 
     def add(self, frame: int, masks: Sequence[Mask], images: Sequence[Image] | None = None) -> None:
@@ -138,7 +144,7 @@ class ConsistencyMonitor:
         self._recent.append(now)
         self._compare()
         self._snapshots.add(lambda: self._snapshot(frame, now, images))
-        self._outlines.add(lambda: [silhouette_hull(mask) for mask in masks])
+        self._outline(masks)
         if len(self._places):
             self._samples_of_masks.add(
                 lambda: _Packed(frame, tuple(np.packbits(mask, axis=1) for mask in masks), self._places)
@@ -151,7 +157,24 @@ class ConsistencyMonitor:
 
     def outlines(self) -> list[list[Array]]:
         """Corners (P, 2) px of the convex hulls of the masks of some frames, per camera and frame."""
-        return [list(own) for own in zip(*self._outlines.items, strict=True)]
+        frames = [frame for burst in self._bursts.items for frame in burst]
+        return [list(own) for own in zip(*frames[:: max(1, len(frames) // _MAX_OUTLINES)], strict=True)]
+
+    def silhouettes(self) -> list[Silhouettes]:
+        """What clocks are told from: outlines of frames that follow each other, on a clock that counts frames."""
+        bursts = self._bursts.items
+        starts = (
+            2 * _BURST_FRAMES * np.arange(len(bursts))
+        )  # apart, so that no lag reaches from one to the next
+        times = [start + np.arange(2 * _BURST_FRAMES) for start in starts]
+        nobody = [np.zeros((0, 2))]
+        return [
+            Silhouettes(
+                FRAME_S * np.concatenate(times),
+                [h for b in bursts for h in ([f[c] for f in b] + nobody * (2 * _BURST_FRAMES - len(b)))],
+            )
+            for c in range(len(self.rig))
+        ]
 
     def mask_samples(self) -> list[MaskSample]:
         """Whole masks of some frames with people, evenly spread."""
@@ -191,6 +214,13 @@ class ConsistencyMonitor:
             snapshots=tuple(self._snapshots.items),
             is_furnished=self._carver.occluders is not None,
         )
+
+    def _outline(self, masks: Sequence[Mask]) -> None:
+        """Keep the outlines of the newest frame, when its burst is kept."""
+        if len(self._rows) % _BURST_FRAMES == 1:
+            self._burst = self._bursts.add(list)
+        if self._burst is not None:
+            self._burst.append([silhouette_hull(mask) for mask in masks])
 
     def _shrunk(self, masks: Sequence[Mask]) -> Small:
         """(C, h, w) uint8: cells of which at least half is foreground."""
@@ -294,14 +324,17 @@ class _Spread(Generic[_Item]):
         self.items: list[_Item] = []
         self._most, self._step, self._n_offered = most, 1, 0
 
-    def add(self, make: Callable[[], _Item]) -> None:
-        """Offer the next thing, which is made only when it is taken."""
+    def add(self, make: Callable[[], _Item]) -> _Item | None:
+        """Offer the next thing, which is made only when it is taken; None when it is not."""
+        taken = None
         if self._n_offered % self._step == 0:
-            self.items.append(make())
+            taken = make()
+            self.items.append(taken)
             if len(self.items) >= self._most:
                 self.items = self.items[::2]
                 self._step *= 2
         self._n_offered += 1
+        return taken
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,13 +16,20 @@ from scipy.spatial.transform import Rotation
 
 from eval.bench.scene import person_mask, ring
 from eval.camera_faults import evaluate
-from mocap.data import CameraRig, VoxelGrid
+from mocap.data import Camera, CameraRig, VoxelGrid
 from mocap.io.calibration import write_calibration
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
 from mocap.products.hulls import rig_offset_m, stored_faults
-from mocap.volume import CameraFault, ConsistencyMonitor, find_camera_faults, find_faults, usable_cameras
+from mocap.volume import (
+    CameraFault,
+    ConsistencyMonitor,
+    find_camera_faults,
+    find_faults,
+    find_late,
+    usable_cameras,
+)
 from mocap.volume.camera_faults import background_shift, fit_states
 from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, SilhouetteEvidence, Snapshot
 
@@ -35,15 +42,16 @@ FIRST = 100  # number of the first frame
 PX = 3.0  # a shift in pixels, told from cells of four
 
 
+def person_at(camera: Camera, frame: int) -> np.ndarray:
+    """The mask of a person on a circle."""
+    angle = 0.055 * frame
+    return person_mask(camera, np.array([0.8 * np.cos(angle), 0.8 * np.sin(angle)]), angle + np.pi / 2)
+
+
 @cache
 def walk() -> tuple[tuple[np.ndarray, ...], ...]:
     """masks[camera][frame] of a person on a circle, two centimetres in front of the last frame."""
-    frames = []
-    for f in range(T + MAX_LAG_FRAMES):
-        angle = 0.055 * f
-        place = np.array([0.8 * np.cos(angle), 0.8 * np.sin(angle)])
-        frames.append([person_mask(c, place, angle + np.pi / 2) for c in RIG])
-    return tuple(tuple(row[c] for row in frames) for c in range(C))
+    return tuple(tuple(person_at(c, f) for f in range(T + MAX_LAG_FRAMES)) for c in RIG)
 
 
 def clean() -> list[list[np.ndarray]]:
@@ -139,6 +147,53 @@ def test_a_lag_from_the_start_is_told_as_such() -> None:
     (fault,) = find(masks)
     assert (fault.camera, fault.kind, fault.lag_frames, fault.is_from_start) == ("cam_5", "lag", 3, True)
     assert fault.message == "camera cam_5 lags 3 frames all the time"
+
+
+def filmed_late(lags: dict[int, int]) -> list[list[np.ndarray]]:
+    """Masks of the walk; some cameras show what was some frames ago, or is to come."""
+    masks = clean()
+    for c, lag in lags.items():
+        masks[c] = [walk()[c][max(f - lag, 0)] for f in range(T)]
+    return masks
+
+
+def watched(masks: list[list[np.ndarray]]) -> ConsistencyMonitor:
+    monitor = ConsistencyMonitor(RIG, GRID)
+    for f in range(T):
+        monitor.add(FIRST + f, [camera[f] for camera in masks])
+    return monitor
+
+
+@pytest.mark.parametrize("lags", [{1: 5, 4: 5}, {1: 4, 2: -4}, {1: 4, 3: 4, 5: 4}])
+def test_several_cameras_that_are_late_are_told_from_those_that_only_seem_so(lags: dict[int, int]) -> None:
+    """The hull of two moments blames healthy cameras too; of three late ones it says that the room has changed."""
+    monitor = watched(filmed_late(lags))
+    found = find_faults(monitor)
+    assert {f.camera for f in found} - {f"cam_{c}" for c in lags}
+    late = find_late(monitor, found)
+    assert {f.camera: f.lag_frames for f in late} == {f"cam_{c}": lag for c, lag in lags.items()}
+    assert all(f.kind == "lag" and f.is_from_start and f.is_to_end for f in late)
+    assert (late[0].first_frame, late[0].last_frame) == (FIRST, FIRST + T - 1)
+
+
+def test_one_late_camera_alone_asks_for_no_clocks() -> None:
+    monitor = watched(filmed_late({2: 3}))
+    (fault,) = found = find_faults(monitor)
+    assert (fault.camera, fault.lag_frames) == ("cam_2", 3)
+    assert find_late(monitor, found) == ()
+
+
+def test_where_every_second_camera_is_late_nobody_knows_which() -> None:
+    monitor = watched(filmed_late({0: 4, 1: 4, 2: 4, 3: 4}))
+    late = find_late(monitor, find_faults(monitor))
+    assert {f.camera for f in late} == {"cam_4", "cam_5", "cam_6"}  # three are early, as seen by four
+    four = RIG.subset(RIG.names[:4])
+    monitor = ConsistencyMonitor(four, GRID)
+    masks = filmed_late({0: 4, 1: 4})
+    for f in range(T):
+        monitor.add(f, [masks[c][f] for c in range(4)])
+    everybody = [CameraFault(name, "lag", 0, T - 1, True, True) for name in four.names]
+    assert find_late(monitor, everybody) == ()
 
 
 def still_picture(*, mask_change: float, n_cells: int) -> SilhouetteEvidence:
@@ -287,6 +342,23 @@ def test_background_shift_by_tracking() -> None:
     assert background_shift(flat, second, 0) is None
 
 
+@pytest.mark.parametrize(("left", "right", "is_told"), [(0.65, 0.65, True), (0.1, 1.2, False)])
+def test_a_light_that_creeps_over_a_wall_moves_no_camera(left: float, right: float, is_told: bool) -> None:
+    """Half a cell and more in the middle, either way; a camera would move all of it."""
+    empty = np.zeros((1, 60, 80), dtype=np.uint8)
+    room = cv2.GaussianBlur(np.random.default_rng(2).normal(0, 1, (60, 80)), (0, 0), 1.5)
+    room = np.clip(128 + 200 * room, 0, 255).astype(np.float32)
+    v, u = np.mgrid[:60, :80].astype(np.float32)
+    moved = cv2.remap(room, u - np.linspace(left, right, 80, dtype=np.float32), v, cv2.INTER_CUBIC)
+    before, after = (
+        Snapshot(0, empty, empty, np.clip(p, 0, 255).astype(np.uint8)[None]) for p in (room, moved)
+    )
+    shift = background_shift(before, after, 0)
+    assert (shift is not None) == is_told
+    if shift is not None:
+        assert shift == pytest.approx([left, 0.0], abs=0.1)
+
+
 @given(seed=st.integers(0, 10_000))
 @hypothesis_settings(max_examples=30)
 def test_the_fit_is_the_cheapest_of_all_sequences(seed: int) -> None:
@@ -370,6 +442,20 @@ def test_the_carve_stage_warns_and_goes_on_with_the_other_cameras(tmp_path: Path
     )
     assert again.reused == ("segment", "occluders", "carve")
     assert any("cam_3 moved" in w for w in again.warnings)
+
+
+def test_the_others_are_judged_again_without_the_late_ones(tmp_path: Path) -> None:
+    masks = filmed_late({1: 5, 4: 5})
+    masks[6] = [m if f < START else np.zeros_like(m) for f, m in enumerate(masks[6])]
+    session = mask_session(tmp_path / "session", masks)
+    config = load_config("default", ("volume.voxel_size_m=0.05",))
+    run_session(session, tmp_path / "out", config=config, until="carve")
+    store = StageStore(tmp_path / "out" / "store.zarr")
+    found = stored_faults(store)
+    assert [(f.camera, f.kind) for f in found] == [("cam_1", "lag"), ("cam_4", "lag"), ("cam_6", "blind")]
+    used = np.array([arrays["used"] for _, arrays in store.reader("carve")])
+    assert np.flatnonzero(~used.any(axis=0)).tolist() == [1, 4]
+    np.testing.assert_array_equal(used[:, 6], np.arange(T) < found[2].first_frame)
 
 
 def test_a_wrong_calibration_is_named_left_out_and_else_widens_the_regions(tmp_path: Path) -> None:

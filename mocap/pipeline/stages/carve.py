@@ -38,6 +38,7 @@ from mocap.volume import (
     colour_hull,
     connected_components,
     find_faults,
+    find_late,
     surface_voxels,
     usable_cameras,
 )
@@ -159,8 +160,9 @@ def _grown(voxels: Voxels, weak: Voxels, grid: VoxelGrid) -> Voxels:
 class _Walk:
     """One walk over the clip.
 
-    monitor : of the first walk, which looks for bad cameras.  faults : what it has found.  left_out : those whose
-    cameras do not take part.  guessed : cameras whose outlines are guesses, by which no calibration is judged.
+    monitor : looks for bad cameras among some of the rig, None = they are known.  faults : what earlier walks found.
+    left_out : those whose cameras do not take part.  guessed : cameras whose outlines are guesses, by which no
+    calibration is judged.
     """
 
     carving: _Carving
@@ -216,27 +218,42 @@ def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
         measured = np.full((len(hull.voxels), 3), np.nan, dtype=np.float32)
         measured[hull.is_surface] = measured_surface(hull.voxels[hull.is_surface], hull.grid, views)
     if walk.monitor is not None:
-        walk.monitor.add(seen.frame, seen.masks, seen.pictures)
+        rows = [walk.carving.rig.names.index(name) for name in walk.monitor.rig.names]
+        pictures = None if seen.pictures is None else [seen.pictures[c] for c in rows]
+        walk.monitor.add(seen.frame, [seen.masks[c] for c in rows], pictures)
     pixels = sample_silhouettes(seen.masks, seen.pictures, used)
     row = hull_row(hull, unknown, used, pixels, measured)
     return walk, replace(seen, hull=hull), [Row(PRODUCT, seen.frame, row)]
 
 
 def _finish(walk: _Walk) -> Ending:
-    """Done; or, with volume.on_bad_camera=exclude, another walk without the cameras that turned out to be bad.
+    """Done; or another walk, in which some cameras do not take part, or only some are judged.
 
-    They are known only when the whole clip has been seen, and then from its first frame on.
+    What is wrong with them is known only when the whole clip has been seen, and then from its first frame on.
     """
-    session, config, rig = walk.carving.session, walk.carving.config, walk.carving.rig
-    faults = walk.faults
-    if walk.monitor is not None:
-        faults = find_faults(walk.monitor, walk.guessed)
-        if (
-            config.volume.on_bad_camera == "exclude"
-            and not usable_cameras(faults, rig.names, np.array(session.frames)).all()
-        ):
-            return Ending(again=_Walk(walk.carving, None, faults, left_out=faults))
-    attrs = hull_attrs(walk.carving.grid, rig.names, faulty_views(session, config), faults)
+    if walk.monitor is None:
+        return _ending(walk, walk.faults)
+    session, config = walk.carving.session, walk.carving.config
+    excludes = config.volume.on_bad_camera == "exclude"
+    found = find_faults(walk.monitor, walk.guessed)
+    late = find_late(walk.monitor, found)
+    faults = walk.faults + (late or found)
+    left_out = faults if excludes else ()
+    if late:
+        # Others are blamed because of them: they are judged again without.
+        known = {fault.camera for fault in faults}
+        others = walk.carving.rig.subset([n for n in walk.carving.rig.names if n not in known])
+        monitor = ConsistencyMonitor(others, walk.carving.grid, walk.carving.occluders)
+        return Ending(again=replace(walk, monitor=monitor, faults=faults, left_out=left_out))
+    if excludes and not usable_cameras(found, walk.carving.rig.names, np.array(session.frames)).all():
+        return Ending(again=replace(walk, monitor=None, faults=faults, left_out=left_out))
+    return _ending(walk, faults)
+
+
+def _ending(walk: _Walk, faults: tuple[CameraFault, ...]) -> Ending:
+    """What is known of the volume as a whole."""
+    n_faulty = faulty_views(walk.carving.session, walk.carving.config)
+    attrs = hull_attrs(walk.carving.grid, walk.carving.rig.names, n_faulty, faults)
     return Ending(attrs={PRODUCT: attrs})
 
 
