@@ -36,6 +36,7 @@ from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import write_scene
 from mocap.pipeline.tracking import every_frame
 from mocap.pose.angles import angles_of
+from mocap.pose.cycles import PERCENT, cycles_of
 from mocap.pose.method import AngleSettings, ContactSettings
 from mocap.pose.opensim import opensim_bodies, opensim_coordinates
 from mocap.pose.result import PersonPoses
@@ -46,6 +47,19 @@ from mocap.progress import Progress
 STEP_COLUMNS = (
     *("person", "foot", "strike_frame", "strike_std_frames", "off_frame", "off_std_frames", "x_m", "y_m"),
     *("length_m", "width_m", "time_s", "stance_s", "swing_s", "speed_m_s"),
+)
+CYCLE_COLUMNS = (
+    *(
+        "person",
+        "foot",
+        "cycles",
+        "off_percent",
+        "angle",
+        "percent",
+        "mean_deg",
+        "std_deg",
+        "measured_std_deg",
+    ),
 )
 
 
@@ -72,8 +86,10 @@ def write_tables(found: Found, config: Config, folder: Path, *, has_poses: bool)
     if not has_poses:
         return
     write_landmarks_csv(folder / "landmarks.csv", found.motions)
-    write_angles_csv(folder / "angles.csv", angles_of_run(found, config))
-    write_steps_csv(folder / "steps.csv", gaits_of_run(found, config), found)
+    angles, gaits = angles_of_run(found, config), gaits_of_run(found, config)
+    write_angles_csv(folder / "angles.csv", angles)
+    write_steps_csv(folder / "steps.csv", gaits, found)
+    write_cycles_csv(folder / "cycles.csv", gaits, angles)
     write_pose_npz(folder / "pose.npz", found.poses)
     for name, text in body_files(found.store, found.poses).items():
         atomic_text(folder / name, text)
@@ -107,6 +123,20 @@ def write_steps_csv(path: Path, gaits: Sequence[Gait], found: Found) -> None:
             )
             cells = ["" if v is None else str(v) if isinstance(v, int) else f"{v:.4f}" for v in numbers]
             lines.append(",".join([str(gait.person), stance.side, *cells]))
+    atomic_text(path, "\n".join(lines) + "\n")
+
+
+def write_cycles_csv(path: Path, gaits: Sequence[Gait], angles: Sequence[AngleSeries]) -> None:
+    """The mean of every angle over the gait cycle, one row per person, foot, angle and percent; unknown = empty."""
+    lines = [",".join(CYCLE_COLUMNS)]
+    for gait, series in zip(gaits, angles, strict=True):
+        for cycles in cycles_of(gait, series):
+            for name in cycles.names:
+                begin = f"{gait.person},{cycles.side},{len(cycles)},{cycles.off_percent.mean():.1f},{name}"
+                columns = np.rad2deg(np.stack(cycles.mean(name), axis=1))
+                for percent, numbers in zip(PERCENT, columns, strict=True):
+                    cells = ["" if np.isnan(v) else f"{v:.2f}" for v in numbers]
+                    lines.append(",".join([begin, f"{percent:.0f}", *cells]))
     atomic_text(path, "\n".join(lines) + "\n")
 
 

@@ -13,6 +13,7 @@ from mocap.data import AngleSeries, Camera, landmark_names
 from mocap.pipeline.panels import images_of
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import body_parts, room_bounds, rows_at, shown_frames
+from mocap.pose.cycles import PERCENT, GaitCycles, cycles_of
 from mocap.pose.method import SmoothSettings
 from mocap.pose.result import PersonPoses
 from mocap.pose.steps import Gait
@@ -34,11 +35,14 @@ _BASE64 = 4.0 / 3.0
 # Speed is measured over so long: shorter spans show the trembling of the poses.
 _SPEED_SPAN_S = 0.2
 _SIDES = ("left", "right")
-# Angles of the report, of both sides together.
-_CHARTS = (
+# Angles of the report, of both sides together; those of legs over the gait cycle too.
+_LEG_CHARTS = (
     ("Hip flexion", "hip_flexion"),
     ("Knee flexion", "knee_flexion"),
     ("Ankle dorsiflexion", "ankle_dorsiflexion"),
+)
+_CHARTS = (
+    *_LEG_CHARTS,
     ("Shoulder flexion", "shoulder_flexion"),
     ("Shoulder elevation", "shoulder_elevation"),
     ("Elbow flexion", "elbow_flexion"),
@@ -156,6 +160,25 @@ def charts_of(poses: PersonPoses, angles: AngleSeries, fps: float, gait: Gait) -
         if name in angles.names:
             chart = Chart(title, "degrees", poses.frames, fps, (_curve(angles, name, title, "middle"),))
             charts.append(on_every_frame(chart))
+    return charts + _cycle_charts(cycles_of(gait, angles))
+
+
+def _cycle_charts(found: Sequence[GaitCycles]) -> list[Chart]:
+    """The means of leg angles over the gait cycle, both sides together; the band is where 90 % of the cycles lie."""
+    charts = []
+    for title, name in _LEG_CHARTS:
+        curves = []
+        for cycles in found:
+            if f"{cycles.side}_{name}" in cycles.names:
+                mean, between, measured = cycles.mean(f"{cycles.side}_{name}")
+                label = f"{cycles.side}, cycles: {len(cycles)}, toe off at {cycles.off_percent.mean():.0f} %"
+                std = np.hypot(np.nan_to_num(between), measured)
+                curves.append(Curve(label, cycles.side, np.rad2deg(mean), np.rad2deg(std)))
+        if curves:
+            percent = PERCENT.astype(np.int64)
+            charts.append(
+                Chart(f"{title} over the gait cycle", "degrees", percent, 1.0, tuple(curves), along="%")
+            )
     return charts
 
 

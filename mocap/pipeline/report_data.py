@@ -24,6 +24,7 @@ OUTPUT_WORDS = {
     "landmarks.csv": "landmarks per person and frame, with standard deviations, metres",
     "angles.csv": "anatomical angles per person and frame, with standard deviations, degrees",
     "steps.csv": "foot contacts and steps of every person",
+    "cycles.csv": "angles over the gait cycle, means and deviations, degrees",
     "pose.npz": "joint angles, root, landmark covariances",
     "body.toml": "the person's body as sized: --set body.model=FILE uses it again",
     "scene.rrd": "cameras, images, voxels and bodies on a time line, for the Rerun viewer",

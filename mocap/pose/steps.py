@@ -73,8 +73,7 @@ def gait_of(poses: PersonPoses, fps: float, settings: ContactSettings) -> Gait:
     sole = list(SOLE_POINTS)
     points = poses.landmarks[:, sole]
     contacts = contacts_of(points, np.zeros(points.shape[:2]), fps, settings)
-    stances = [s for k, side in enumerate(SIDES) for s in _stances(side, 2 * k, points, contacts)]
-    stances.sort(key=lambda s: -1 if s.strike is None else s.strike)
+    stances = stances_of(points, contacts)
     pelvis = poses.landmarks[:, ALL_LANDMARKS.index("pelvis"), :2]
     return Gait(poses.person, contacts, tuple(stances), tuple(_steps(stances, pelvis, fps)))
 
@@ -98,6 +97,12 @@ def _why_not(poses: PersonPoses, settings: ContactSettings) -> str:
             "the person does not stand on it. Remedy: put the world's origin on the floor (docs/calibrate.md)"
         )
     return ""
+
+
+def stances_of(points: Array, contacts: Contacts) -> list[Stance]:
+    """The stances of both feet by time.  points : (T, 4, 3) m, heels and toes as in `SOLE_POINTS`."""
+    stances = [s for k, side in enumerate(SIDES) for s in _stances(side, 2 * k, points, contacts)]
+    return sorted(stances, key=lambda s: -1 if s.strike is None else s.strike)
 
 
 def _stances(side: str, first: int, points: Array, contacts: Contacts) -> list[Stance]:

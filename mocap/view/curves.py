@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +35,14 @@ class Curve:
 @dataclass(frozen=True, eq=False)
 class Chart:
     """Curves with one axis.  frames : (T,).  kind of a curve, for its colour : left, right, middle, or that
-    of `colour_of`."""
+    of `colour_of`.  along : what the axis counts: seconds, at which the replay can be put, or percent of something."""
 
     title: str
     unit: str
     frames: NDArray[np.int64]
     fps: float
     curves: tuple[Curve, ...]
+    along: Literal["s", "%"] = "s"
 
 
 def on_every_frame(chart: Chart) -> Chart:
@@ -68,7 +70,7 @@ def on_every_frame(chart: Chart) -> Chart:
         replace(c, values=np.asarray(spread(c.values)), std=spread(c.std), observed=seen(c.observed))
         for c in chart.curves
     )
-    return Chart(chart.title, chart.unit, np.arange(first, last + 1), chart.fps, curves)
+    return replace(chart, frames=np.arange(first, last + 1), curves=curves)
 
 
 def colour_of(i: int) -> str:
@@ -99,7 +101,7 @@ def _chart(chart: Chart) -> str:
         for v in _ticks(low, high)
     )
     drawn += "".join(
-        f'<text x="{x_of(s * chart.fps):.1f}" y="{_HEIGHT - 8}" text-anchor="middle">{s:g} s</text>'
+        f'<text x="{x_of(s * chart.fps):.1f}" y="{_HEIGHT - 8}" text-anchor="middle">{s:g} {chart.along}</text>'
         for s in _ticks(first / chart.fps, last / chart.fps)
     )
     for curve in chart.curves:
@@ -107,13 +109,16 @@ def _chart(chart: Chart) -> str:
     words = ", ".join(curve.label for curve in chart.curves)
     keys = "".join(f'<span><i class="key {c.kind}"></i>{escaped(c.label)}</span>' for c in chart.curves)
     legend = f'<span class="keys">{keys}</span>' if len(chart.curves) > 1 else ""
+    kind, data = "chart", ""
+    if chart.along == "s":
+        kind = "chart timed"
+        data = f' data-first="{first:g}" data-last="{last:g}" data-left="{_LEFT}" data-right="{_RIGHT}"'
+        drawn += f'<line class="cursor" x1="{_LEFT}" x2="{_LEFT}" y1="{_TOP}" y2="{_BOTTOM}"/>'
     return (
         f'<figure class="curve"><figcaption><strong>{escaped(chart.title)}</strong> '
         f"<small>{escaped(chart.unit)}</small>{legend}</figcaption>"
-        f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" '
-        f'aria-label="{escaped(chart.title)}: {escaped(words)}" data-first="{first:g}" data-last="{last:g}" '
-        f'data-left="{_LEFT}" data-right="{_RIGHT}">{drawn}<line class="cursor" x1="{_LEFT}" x2="{_LEFT}" '
-        f'y1="{_TOP}" y2="{_BOTTOM}"/></svg></figure>'
+        f'<svg class="{kind}" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" '
+        f'aria-label="{escaped(chart.title)}: {escaped(words)}"{data}>{drawn}</svg></figure>'
     )
 
 

@@ -286,7 +286,7 @@ margin:8px 0 18px}
 .curve figcaption{font-size:14px;display:flex;flex-wrap:wrap;gap:2px 8px;align-items:baseline}
 .curve small{color:var(--faint)}.curve .keys{display:flex;flex-wrap:wrap;gap:0 10px;color:var(--faint);margin-left:auto}
 .key{display:inline-block;width:14px;height:3px;margin-right:5px;vertical-align:middle}
-.chart{display:block;width:100%;height:auto;cursor:crosshair}
+.chart{display:block;width:100%;height:auto}.timed{cursor:crosshair}
 .chart text{font:11px system-ui,sans-serif;fill:var(--faint)}
 .chart .grid{stroke:var(--line)}.chart .cursor{stroke:var(--ink);stroke-width:1;opacity:.6}
 .chart .band{stroke:none;opacity:.2}.chart .line{fill:none;stroke-width:1.8;stroke-linejoin:round}

@@ -80,7 +80,7 @@ function drawPictures(){
  image.onload=function(){put(image);};image.src="data:"+data.mime+";base64,"+data.pictures[k];
 }
 function cursors(){
- document.querySelectorAll("svg.chart").forEach(function(s){
+ document.querySelectorAll("svg.timed").forEach(function(s){
   var d=s.dataset,share=(data.frames[at]-d.first)/Math.max(1,d.last-d.first);
   var c=s.querySelector(".cursor"),x=+d.left+share*(d.right-d.left);
   c.setAttribute("x1",x);c.setAttribute("x2",x);c.style.visibility=share<0||share>1?"hidden":"visible";});
@@ -131,7 +131,7 @@ scene.addEventListener("pointermove",function(e){
 scene.addEventListener("wheel",function(e){e.preventDefault();
  view.zoom=Math.max(0.4,Math.min(6,view.zoom*Math.exp(-e.deltaY*0.001)));drawScene();},{passive:false});
 scene.addEventListener("dblclick",function(){view={az:-0.9,el:0.3,zoom:1.25};drawScene();});
-document.querySelectorAll("svg.chart").forEach(function(s){s.addEventListener("click",function(e){
+document.querySelectorAll("svg.timed").forEach(function(s){s.addEventListener("click",function(e){
  var box=s.getBoundingClientRect(),d=s.dataset,x=(e.clientX-box.left)/box.width*s.viewBox.baseVal.width;
  var frame=+d.first+(x-d.left)/(d.right-d.left)*(d.last-d.first);
  play(false);seek(frame);});});

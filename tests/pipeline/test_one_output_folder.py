@@ -105,6 +105,7 @@ def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None
             "landmarks.csv",
             "angles.csv",
             "steps.csv",
+            "cycles.csv",
             "pose.npz",
             "body.toml",
             "person_1.trc",
@@ -125,7 +126,16 @@ def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None
         ("track", {"run.json", "tracks.csv"}),
         (
             "pose",
-            {"run.json", "tracks.csv", "landmarks.csv", "angles.csv", "steps.csv", "pose.npz", "body.toml"},
+            {
+                "run.json",
+                "tracks.csv",
+                "landmarks.csv",
+                "angles.csv",
+                "steps.csv",
+                "cycles.csv",
+                "pose.npz",
+                "body.toml",
+            },
         ),
     ],
 )
