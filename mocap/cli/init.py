@@ -79,4 +79,5 @@ def _told(found: SortedHeap) -> list[str]:
 
 
 def _shown(clip: HeapClip, found: SortedHeap) -> str:
-    return str(clip.path.relative_to(found.root))
+    more = f" and {len(clip.later)} more chapter{'s' * (len(clip.later) != 1)}" if clip.later else ""
+    return f"{clip.path.relative_to(found.root)}{more}"

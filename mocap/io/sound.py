@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from mocap.arrays import Array
 from mocap.errors import MissingExtra, MocapError
+from mocap.io.video import clip_info, list_chapters
 
 STEP_S = 0.001
 _RATE = 8000  # samples per second that are looked at: a clap is as clear in them, and they cost less
@@ -22,6 +24,8 @@ def loudness_of(path: Path, *, camera: str = "") -> tuple[Array, Array]:
     Needs the extra `sound` (PyAV). Raises MocapError for a clip without sound, one that cannot be read, and where PyAV
     is missing.
     """
+    if chapters := list_chapters(path):
+        return _of_chapters(chapters, camera)
     if path.is_dir():
         raise MocapError("pictures in a folder have no sound", path=path, camera=camera, remedy=_OTHERWISE)
     begins, wave = _wave(path, camera)
@@ -33,6 +37,21 @@ def loudness_of(path: Path, *, camera: str = "") -> tuple[Array, Array]:
     level = np.asarray(10 * np.log10(power + _SILENCE**2), dtype=np.float64)
     times = begins + STEP_S * (np.arange(n_steps, dtype=np.float64) + 0.5)
     return np.asarray(times, dtype=np.float64), level
+
+
+def _of_chapters(chapters: Sequence[Path], camera: str) -> tuple[Array, Array]:
+    """Of videos that follow each other without a gap."""
+    times, levels, begins = [], [], 0.0
+    for chapter in chapters:
+        own_times, own_level = loudness_of(chapter, camera=camera)
+        info = clip_info(chapter, camera=camera)
+        length = info.n_frames / info.fps if info.fps else float(own_times[-1])
+        # Sound may go on for a moment after the last picture; the next chapter has it too.
+        is_own = own_times < length
+        times.append(begins + own_times[is_own])
+        levels.append(own_level[is_own])
+        begins += length
+    return np.concatenate(times), np.concatenate(levels)
 
 
 def _wave(path: Path, camera: str) -> tuple[float, Array]:

@@ -43,6 +43,7 @@ Size = tuple[int, int]
 # Frames decoded ahead of the consumer, per worker.
 READ_AHEAD_FRAMES = 2
 MASK_THRESHOLD = 127
+SAME_RATE = 1e-3  # headers round: 29.97 and 29.98 are one rate
 # Up to here a header that lies is answered by counting every frame (0.3 ms each at 640 x 480).
 COUNT_BY_GRABBING_FRAMES = 20_000
 # 134 million pixels, more than any camera that films; decoded they take 400 MB.
@@ -69,7 +70,7 @@ class ClipInfo:
 
 
 def clip_info(path: Path | str, *, camera: str = "", size: Size | None = None) -> ClipInfo:
-    """Count and measure a video, picture folder, single picture or mask archive, cheaply.
+    """Count and measure a video, folder of chapters or of pictures, single picture or mask archive, cheaply.
 
     size : (width, height) px that its first picture must have, checked before it is decoded; None = any.
     A video's header is believed only when its last frame can be decoded; otherwise the frames are counted.
@@ -79,6 +80,8 @@ def clip_info(path: Path | str, *, camera: str = "", size: Size | None = None) -
     if path.suffix.lower() == ".npz":
         masks = _npz_masks(path, camera)
         return ClipInfo(path, masks.n_frames, masks.size, None)
+    if chapters := list_chapters(path):
+        return _info_of_chapters(path, chapters, camera)
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
         files = list_pictures(path) if path.is_dir() else [path]
         if not files:
@@ -109,8 +112,35 @@ def list_pictures(folder: Path) -> list[Path]:
     return sorted(files, key=lambda p: natural_key(p.name))
 
 
+def list_chapters(path: Path) -> list[Path]:
+    """The videos of a folder in natural order: chapters into which a camera has cut one recording. None of a file."""
+    if not path.is_dir():
+        return []
+    files = [p for p in path.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
+    return sorted(files, key=lambda p: natural_key(p.name))
+
+
+def _info_of_chapters(folder: Path, chapters: Sequence[Path], camera: str) -> ClipInfo:
+    """What chapters hold together. Raises MocapError for those of another size or rate than the first."""
+    infos = [clip_info(chapter, camera=camera) for chapter in chapters]
+    first = infos[0]
+    for info in infos[1:]:
+        if info.size != first.size:
+            raise size_error(info.size, first.size, info.path, camera)
+        if abs((info.fps or 0.0) - (first.fps or 0.0)) > SAME_RATE * (first.fps or 1.0):
+            raise MocapError(
+                f"the chapter has {info.fps or 0:g} frames per second, {first.path.name} has {first.fps or 0:g}",
+                path=info.path,
+                camera=camera or None,
+                remedy="keep only chapters of one recording in a folder",
+            )
+    headers = [info.header_frames for info in infos if info.header_frames is not None]
+    header = sum(headers) if len(headers) == len(infos) else None
+    return ClipInfo(folder, sum(info.n_frames for info in infos), first.size, first.fps, header)
+
+
 def iter_clip(path: Path | str, *, size: Size | None = None, camera: str = "") -> Iterator[Image]:
-    """RGB pictures (H, W, 3) uint8 of a video, picture folder or single picture, from first to last.
+    """RGB pictures (H, W, 3) uint8 of a video, folder of chapters or pictures, or one picture, from first to last.
 
     size : (width, height) px that every picture must have; None = whatever the first one has.
     Raises MocapError when nothing can be read or a size differs.
@@ -226,9 +256,9 @@ class _Reader(ABC, Generic[Picture]):
 class FrameReader(_Reader[Image]):
     """Reads the pictures of all cameras frame by frame: iterate for (frame, tuple of (H, W, 3) uint8 RGB).
 
-    sources : camera name -> video, picture folder or single picture.  frames : of the session.  clip_frames : camera
-    name -> the picture of its source, counted from 0, that shows each frame; None = picture k shows frame k.
-    n_workers : decoding threads (the result does not depend on it).
+    sources : camera name -> video, folder of chapters or of pictures, or single picture.  frames : of the session.
+    clip_frames : camera name -> the picture of its source, from 0, that shows each frame; None = picture k shows
+    frame k.  n_workers : decoding threads (the result does not depend on it).
     Raises MocapError with camera and frame for a picture that cannot be read or has another size than the
     calibration.
     """
@@ -408,6 +438,8 @@ class _OnClock(Generic[Picture]):
 
 
 def _open_images(path: Path, camera: str, size: Size | None) -> _Clip[Image]:
+    if chapters := list_chapters(path):
+        return _Chapters(chapters, camera, size)
     if path.is_dir():
         return _PictureClip(list_pictures(path), camera, size)
     if path.suffix.lower() in IMAGE_SUFFIXES:
@@ -453,6 +485,27 @@ class _VideoClip:
 
     def close(self) -> None:
         self._capture.release()
+
+
+class _Chapters:
+    """Videos that follow each other without a gap, as one clip."""
+
+    def __init__(self, files: Sequence[Path], camera: str, size: Size | None) -> None:
+        self._camera = camera
+        self._size = clip_info(files[0], camera=camera).size if size is None else size
+        self._left = [(file, clip_info(file, camera=camera).n_frames) for file in files]
+        self._before = 0  # pictures of the chapters that are done
+        self._clip = _VideoClip(files[0], camera, self._size)
+
+    def read(self, frame: int) -> Image | None:
+        while len(self._left) > 1 and frame >= self._before + self._left[0][1]:
+            self._before += self._left.pop(0)[1]
+            self._clip.close()
+            self._clip = _VideoClip(self._left[0][0], self._camera, self._size)
+        return self._clip.read(frame - self._before)
+
+    def close(self) -> None:
+        self._clip.close()
 
 
 class _MaskClip:

@@ -14,6 +14,7 @@ from small_session import mocap
 from eval.bench.scene import person_mask, ring
 from mocap.io import open_session
 from mocap.io.calibration import write_calibration
+from mocap.io.session.reading import pictures_of
 from mocap.io.session.settings import read_session_settings
 
 SIZE, N = (160, 120), 12
@@ -191,13 +192,45 @@ def test_a_folder_that_is_laid_out_already_gets_its_settings_only(tmp_path: Path
     assert open_session(root).rig.names == RIG.names
 
 
-def test_chapters_are_named(tmp_path: Path) -> None:
+def test_chapters_of_action_cameras_are_one_clip(tmp_path: Path) -> None:
+    heap, walk = tmp_path / "heap", [people(c, 2 * N) for c in range(4)]
+    for c, name in enumerate(RIG.names):
+        first, second = ("GOPR", "GP01") if c == 3 else ("GX01", "GX02")
+        video(heap / name / f"{first}004{c}.MP4", walk[c][:N])
+        video(heap / name / f"{second}004{c}.MP4", walk[c][N:])
+    write_calibration(heap / "calibration.toml", RIG)
+    root = heap / "session"
+    done = mocap("init", heap)
+    assert done.code == 0, done.err
+    assert "GX010040.MP4, GX020040.MP4 are chapters of one recording, and read as one clip" in done.out
+    assert "GX010040.MP4 and 1 more chapter, 160 x 120, 24 frames" in done.out
+    assert [f for f in files_in(root) if "cam_0" in f or "cam_3" in f] == [
+        "videos/cam_0/GX010040.mp4",
+        "videos/cam_0/GX020040.mp4",
+        "videos/cam_3/GOPR0043.mp4",
+        "videos/cam_3/GP010043.mp4",
+    ]
+    session = open_session(root)
+    assert session.frames == range(2 * N)
+    # The picture after the cut is the next one: nothing is lost or shown twice.
+    with pictures_of(session, range(N - 1, N + 1)) as reader:
+        for frame, pictures in reader:
+            for c, picture in enumerate(pictures):
+                apart = [np.abs(picture[:, :, ::-1].astype(float) - own).mean() for own in walk[c]]
+                assert int(np.argmin(apart)) == frame
+    checked = mocap("check", root)
+    assert "0 errors" in checked.out
+
+
+def test_chapters_of_which_some_are_missing_are_named(tmp_path: Path) -> None:
     video(tmp_path / "a" / "GX010042.MP4", people(0))
-    video(tmp_path / "a" / "GX020042.MP4", people(0))
+    video(tmp_path / "a" / "GX030042.MP4", people(0))
     video(tmp_path / "b" / "GX010043.MP4", people(1))
+    video(tmp_path / "b" / "GX020044.MP4", people(1))  # of another recording
     done = mocap("init", tmp_path, "--dry-run")
     assert done.code == 0, done.err
-    assert "GX010042.MP4, GX020042.MP4 are chapters of one recording" in done.out
+    assert "GX010042.MP4, GX030042.MP4 are chapters of one recording, of which some are missing" in done.out
+    assert "read as one clip" not in done.out
 
 
 def test_copies_are_files_of_their_own(tmp_path: Path) -> None:

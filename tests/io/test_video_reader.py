@@ -26,6 +26,41 @@ def clips(folder: Path, rig: CameraRig, n: int) -> dict[str, Path]:
     return sources
 
 
+def chapters(folder: Path, camera: int, rig: CameraRig, lengths: tuple[int, ...]) -> Path:
+    """One recording of a camera, cut into clips of so many frames."""
+    folder.mkdir(parents=True)
+    size, first = rig[camera].size, 0
+    for k, n in enumerate(lengths):
+        pictures = [frame_picture(size, f, camera) for f in range(first, first + n)]
+        write_video(folder / f"GH0{k + 1}0123.MP4", pictures)
+        first += n
+    return folder
+
+
+@pytest.mark.parametrize("frames", [range(9), range(4, 9), range(0, 9, 4), range(8, 9)])
+def test_chapters_of_a_folder_are_one_clip(tmp_path: Path, rig: CameraRig, frames: range) -> None:
+    sources = clips(tmp_path, rig, 9)
+    name = rig.names[1]
+    sources[name] = chapters(tmp_path / name, 1, rig, (4, 1, 4))
+    assert clip_info(sources[name]).n_frames == 9
+    assert clip_info(sources[name]).size == rig[name].size
+    with FrameReader(sources, rig, frames) as reader:
+        for frame, images in reader:
+            assert np.abs(images[1].astype(int) - frame_picture(rig[name].size, frame, 1)).max() <= COLOUR
+    assert len(list(iter_clip(sources[name]))) == 9
+
+
+def test_chapters_of_another_recording_are_refused(tmp_path: Path, rig: CameraRig) -> None:
+    folder = chapters(tmp_path / "cam", 0, rig, (3, 3))
+    write_video(folder / "GH030123.MP4", [frame_picture((64, 64), f, 0) for f in range(3)])
+    with pytest.raises(MocapError, match="the picture is 64 x 64") as caught:
+        clip_info(folder)
+    assert caught.value.path == folder / "GH030123.MP4"
+    write_video(folder / "GH030123.MP4", [frame_picture(rig[0].size, f, 0) for f in range(3)], fps=60)
+    with pytest.raises(MocapError, match="the chapter has 60 frames per second"):
+        clip_info(folder)
+
+
 @pytest.mark.parametrize("n_workers", [1, 2, 5])
 @pytest.mark.parametrize("frames", [range(9), range(3, 7), range(1, 9, 3)])
 def test_frames_come_in_order_and_in_rgb(

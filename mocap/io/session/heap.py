@@ -56,7 +56,11 @@ _CAMERA = re.compile(r"(?i)^(cam(era)?|kamera|view|gopro|phone|iphone|pixel|port
 _CAMERA_INSIDE = re.compile(
     r"(?i)(?<![a-z])(cam(?:era)?|kamera|view|gopro|i?phone|port|dev(?:ice)?|c)[ _-]?\d+"
 )
-_CHAPTER = re.compile(r"^(?:G[HXL](\d\d)(\d{4})|GP(\d\d)(\d{4}))$", re.IGNORECASE)
+# GH010123, GH020123 of today's GoPros; GOPR0123, GP010123 of old ones.
+_CHAPTER = re.compile(
+    r"^(?:G[HXL](?P<chapter>\d\d)(?P<number>\d{4})|GP(?P<old_chapter>\d\d)(?P<old>\d{4})|GOPR(?P<first>\d{4}))$",
+    re.IGNORECASE,
+)
 # Of the pictures, that are looked at; a clip is read to the last of them.
 _LOOKED_AT, _WITHIN = 8, 240
 _SMALL = (48, 36)  # px: of a picture that is compared with others
@@ -73,7 +77,8 @@ class HeapClip:
     """A clip of the heap.
 
     name : of its camera.  take : what else its name says.  role : what it shows.  why : how that is known.
-    info : what was counted and measured.  look : a small grey picture of what stands still.
+    info : what was counted and measured.  look : a small grey picture of what stands still.  later : chapters that
+    follow the first, `path`.
     """
 
     path: Path
@@ -83,6 +88,7 @@ class HeapClip:
     why: str
     info: ClipInfo
     look: NDArray[np.float32]
+    later: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +130,13 @@ def sort_heap(
             path=root,
             remedy="give the folder of one recording",
         )
-    named = _named(paths, root)
+    later, said = _chapters(paths)
+    notes += said
+    named = _named([path for path in paths if not any(path in own for own in later.values())], root)
     clips = []
     for k, (path, (name, at, role)) in enumerate(named.items()):
         try:
-            clips.append(_looked_at(path, name, at, role))
+            clips.append(_with_later(_looked_at(path, name, at, role), later.get(path, ())))
         except MocapError as error:
             notes.append(f"{path.relative_to(root)} is left out: {error.message}")
         progress("clips", k + 1, len(named))
@@ -138,7 +146,6 @@ def sort_heap(
             path=root,
             remedy=f"give a folder with videos ({' '.join(sorted(VIDEO_SUFFIXES))}) or folders of pictures",
         )
-    notes += _chapters(clips)
     return _sorted(root, clips, take, notes)
 
 
@@ -271,19 +278,38 @@ def _board_in(greys: Sequence[Grey]) -> str:
     return ""
 
 
-def _chapters(clips: Sequence[HeapClip]) -> list[str]:
-    """GoPros cut a long recording into chapters, which are one clip."""
-    chapters: dict[tuple[Path, str], list[str]] = {}
-    for clip in clips:
-        if hit := _CHAPTER.match(_stem(clip.path)):
-            number = hit.group(2) or hit.group(4)
-            chapters.setdefault((clip.path.parent, number), []).append(clip.path.name)
-    return [
-        f"{', '.join(names)} are chapters of one recording: join them (ffmpeg -f concat -c copy), or only "
-        "the first is used"
-        for names in chapters.values()
-        if len(names) > 1
-    ]
+def _chapters(paths: Sequence[Path]) -> tuple[dict[Path, tuple[Path, ...]], list[str]]:
+    """First chapter -> those that follow it, of recordings that a GoPro has cut, and what is to be said of them.
+
+    Only what is numbered without a gap from the first on; other cameras number takes as they number chapters.
+    """
+    found: dict[tuple[Path, str, str], dict[int, Path]] = {}
+    for path in paths:
+        if hit := _CHAPTER.match(path.stem):
+            number = next(text for text in (hit["number"], hit["old"], hit["first"]) if text)
+            kind = "GP" if hit["number"] is None else path.stem[:2].upper()
+            chapter = int(hit["chapter"] or hit["old_chapter"] or 0)
+            found.setdefault((path.parent, kind, number), {})[chapter] = path
+    later, notes = {}, []
+    for chapters in found.values():
+        numbers = sorted(chapters)
+        names = ", ".join(chapters[n].name for n in numbers)
+        if (
+            len(numbers) > 1
+            and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+            and numbers[0] < 2
+        ):
+            later[chapters[numbers[0]]] = tuple(chapters[n] for n in numbers[1:])
+            notes.append(f"{names} are chapters of one recording, and read as one clip")
+        elif len(numbers) > 1:
+            notes.append(f"{names} are chapters of one recording, of which some are missing")
+    return later, notes
+
+
+def _with_later(clip: HeapClip, later: Sequence[Path]) -> HeapClip:
+    """The clip with the chapters that follow it. Raises MocapError for one that cannot be read."""
+    n_frames = clip.info.n_frames + sum(clip_info(path).n_frames for path in later)
+    return replace(clip, info=replace(clip.info, n_frames=n_frames), later=tuple(later))
 
 
 def _sorted(root: Path, clips: list[HeapClip], take: str | None, notes: list[str]) -> SortedHeap:

@@ -14,8 +14,8 @@ from mocap.io._files import atomic_text, writing
 from mocap.io.calibration import read_calibration
 from mocap.io.session.heap import HeapClip, SortedHeap
 from mocap.io.session.settings import read_session_settings
+from mocap.io.video import SAME_RATE
 
-_SAME_RATE = 1e-3
 _FOLDERS = {"recording": ("videos", "images"), "background": ("background",) * 2, "board": ("board",) * 2}
 _FOLDERS |= {"masks": ("masks",) * 2}
 
@@ -69,7 +69,12 @@ def plan_layout(heap: SortedHeap, out: Path | None = None) -> Layout:
             folder = _FOLDERS[role][int(clip.path.is_dir() or clip.info.header_frames is None)]
             ending = "" if clip.path.is_dir() else clip.path.suffix.lower()
             target = None if is_in_place else root / folder / f"{names[name]}{ending}"
-            placed.append(Placed(names[name], role, clip.path, target))
+            if target is None or not clip.later:
+                placed.append(Placed(names[name], role, clip.path, target))
+                continue
+            for chapter in (clip.path, *clip.later):
+                own = target.with_suffix("") / f"{chapter.stem}{chapter.suffix.lower()}"
+                placed.append(Placed(names[name], role, chapter, own))
     calibration = None
     if heap.calibration is not None and not is_in_place:
         calibration = heap.calibration, root / heap.calibration.name
@@ -108,6 +113,8 @@ def _by_role(heap: SortedHeap) -> dict[str, dict[str, HeapClip]]:
 
 def _is_session(heap: SortedHeap) -> bool:
     """Whether the recording lies as a session has it."""
+    if any(clip.later for clip in heap.recording.values()):
+        return False  # chapters lie in a folder of their own
     places = {clip.path.parent for clip in heap.recording.values()}
     return bool(places) and places <= {heap.root / "videos", heap.root / "images"}
 
@@ -145,7 +152,7 @@ def _text(heap: SortedHeap, names: Mapping[str, str]) -> str:
         info = clip.info
         rate = f"{info.fps:.3f} frames/s" if info.fps else "no frame rate"
         lines.append(
-            f"# {names[name]}: {_shown(clip.path, heap.root)}, {info.size[0]} x {info.size[1]} px, "
+            f"# {names[name]}: {_shown(clip.path, heap.root)}{_and_later(clip)}, {info.size[0]} x {info.size[1]} px, "
             f"{info.n_frames} frames, {rate}"
         )
     lines.append("")
@@ -153,7 +160,7 @@ def _text(heap: SortedHeap, names: Mapping[str, str]) -> str:
     if not rates:
         lines.append("# Pictures have no frame rate. 30 is taken unless you say it here:")
         lines.append("# fps = 30.0")
-    elif max(rates) > (1 + _SAME_RATE) * min(rates):
+    elif max(rates) > (1 + SAME_RATE) * min(rates):
         lines.append(
             "# The clips have different rates; each frame is shown by the pictures taken nearest to it."
         )
@@ -170,6 +177,10 @@ def _text(heap: SortedHeap, names: Mapping[str, str]) -> str:
         )
     lines += [f"# {note}" for note in heap.notes]
     return "\n".join(lines) + "\n"
+
+
+def _and_later(clip: HeapClip) -> str:
+    return f" and {len(clip.later)} more chapter{'s' * (len(clip.later) != 1)}" if clip.later else ""
 
 
 def _shown(path: Path, root: Path) -> str:

@@ -10,6 +10,7 @@ from mocap.data import CameraRig
 from mocap.errors import MocapError
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
 from mocap.io.session.settings import SessionSettings, bad_key
+from mocap.io.video import list_chapters
 
 _BESIDE_PICTURES = ("masks", "background", "detections", "keypoints", "depth", "roi")
 # What Pose2Sim adds to a camera's name for the folder of its keypoints.
@@ -32,9 +33,12 @@ class Sources:
     roi: dict[str, Path]
 
 
-def sources_in(folder: Path, kinds: frozenset[str], *, with_folders: bool = True) -> dict[str, Path]:
+def sources_in(
+    folder: Path, kinds: frozenset[str], *, with_folders: bool = True, with_chapters: bool = False
+) -> dict[str, Path]:
     """Sources of a folder by name without suffix: files of the given suffixes and folders that hold pictures.
 
+    with_folders : False = no folders, but with_chapters those that hold videos.
     Of several kinds under one name a video comes before a folder, and a folder before a single picture.
     Raises MocapError when two videos have one name.
     """
@@ -42,7 +46,8 @@ def sources_in(folder: Path, kinds: frozenset[str], *, with_folders: bool = True
         return {}
     found: dict[str, tuple[int, Path]] = {}
     for path in sorted(folder.iterdir(), key=lambda p: natural_key(p.name)):
-        named = None if path.name.startswith(".") else _name_and_rank(path, kinds, with_folders)
+        counts = with_folders or (with_chapters and bool(list_chapters(path)))
+        named = None if path.name.startswith(".") else _name_and_rank(path, kinds, counts)
         if named is None:
             continue
         name, rank = named
@@ -84,7 +89,7 @@ def match_sources(
     Raises MocapError for a name that the calibration does not know: that is an error, not a camera less.
     """
     kinds: dict[str, dict[str, Path]] = {
-        "videos": sources_in(root / "videos", VIDEO_SUFFIXES, with_folders=False),
+        "videos": sources_in(root / "videos", VIDEO_SUFFIXES, with_folders=False, with_chapters=True),
         "images": sources_in(root / "images", IMAGE_SUFFIXES),
         "background": sources_in(root / "background", VIDEO_SUFFIXES | IMAGE_SUFFIXES),
         "masks": sources_in(root / "masks", VIDEO_SUFFIXES | IMAGE_SUFFIXES | {".npz"}),

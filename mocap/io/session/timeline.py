@@ -19,12 +19,11 @@ from mocap.errors import MocapError
 from mocap.io._files import natural_key
 from mocap.io.session.settings import SessionSettings, bad_key
 from mocap.io.tables import read_timestamps_csv
-from mocap.io.video import ClipInfo
+from mocap.io.video import SAME_RATE, ClipInfo
 
 Array = NDArray[np.float64]
 TIMESTAMPS_FILE = "timestamps.csv"
 
-_SAME_RATE = 1e-3  # headers round: 29.97 and 29.98 are one rate
 _NEAR = 0.5 + 1e-6  # of the time between two pictures: further away there is no picture of a frame
 
 
@@ -79,7 +78,7 @@ def differing_rates(settings: SessionSettings, clips: Mapping[str, ClipInfo]) ->
     found = {name: clip.fps for name, clip in clips.items() if clip.fps is not None}
     if settings.fps is not None or not found or len(found) < len(clips):
         return {}
-    return found if max(found.values()) > (1 + _SAME_RATE) * min(found.values()) else {}
+    return found if max(found.values()) > (1 + SAME_RATE) * min(found.values()) else {}
 
 
 def _stamped(path: Path, counts: Mapping[str, int]) -> dict[str, Array]:
