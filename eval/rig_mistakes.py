@@ -13,17 +13,15 @@ another name).
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from eval.refine_rig import DEVELOPMENT, RESULTS, TEST, Row, disturbed, session_of
-from eval.whole import write_csv
+from eval.refine_rig import DEVELOPMENT, TEST, disturbed
+from eval.session_tables import Row, names_of, session_of, session_parser, write_table
 from mocap.arrays import Array
 from mocap.data import Camera, CameraRig
 from mocap.io.session import Session, open_session
@@ -31,17 +29,6 @@ from mocap.pipeline.people_check import hulls_to_check
 from mocap.volume.rig_doubts import RigDoubt, doubt_rig
 
 Hulls = list[list[Array]]
-COLUMNS = (
-    "session",
-    "mistake",
-    "cameras",
-    "factor",
-    "apart_mm",
-    "named",
-    "named_cameras",
-    "named_factor",
-    "right",
-)
 _ZOOMS = (0.7, 0.93, 1.07, 1.4)
 _ZOOM_OFF = 0.03
 
@@ -123,22 +110,16 @@ def evaluate(session: Session) -> Iterator[Row]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("sessions", nargs="*", help="scenes, or folders of sessions; default: all")
-    parser.add_argument("--test", action="store_true", help="the scenes kept for the final judgement")
-    parser.add_argument("--work", type=Path, default=Path("out/refine_rig"), help="sessions go there")
-    parser.add_argument("--name", help="of the table")
-    options = parser.parse_args(arguments)
-    rows = []
-    for name in options.sessions or (TEST if options.test else DEVELOPMENT):
+    options = session_parser(__doc__, "out/refine_rig").parse_args(arguments)
+    rows: list[Row] = []
+    for name in names_of(options, DEVELOPMENT, TEST):
         own = list(evaluate(open_session(session_of(name, options.work))))
         print(
             f"{own[0]['session']}: {sum(int(row['right'] or 0) for row in own)} of {len(own)} right",
             flush=True,
         )
         rows += own
-    table = options.name or ("test" if options.test else "development")
-    write_csv(RESULTS / f"rig_mistakes_{table}.csv", COLUMNS, rows)
+    write_table("rig_mistakes", options, rows)
     return 0
 
 

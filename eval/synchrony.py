@@ -13,7 +13,6 @@ and after `mocap sync`; its synchronised twin is the measure. Writes eval/result
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import sys
@@ -23,7 +22,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from eval.whole import write_csv, write_text
+from eval.session_tables import N_FRAMES, Row, names_of, session_of, session_parser, write_table
+from eval.whole import write_text
 from mocap.errors import MocapError
 from mocap.io.session import open_clips
 from mocap.io.video import iter_clip
@@ -33,22 +33,17 @@ from mocap.pipeline.sync import SessionClocks, find_clocks, write_clocks
 from mocap.synth import synthesise
 from mocap.synth.scene import load_scene
 
-RESULTS = Path(__file__).with_name("results")
 DEVELOPMENT = ("walk", "gesture")
 TEST = ("walk_final", "jog_test")
-N_FRAMES = 150
 MOST_OFFSET_S, MOST_DRIFT_MS_PER_S = 0.25, 0.05
 MOST_CUT = 8
-Row = dict[str, str | float | int | None]
 
 
 def unsynchronised(name: str, work: Path, seed: int) -> tuple[Path, Path, dict[str, tuple[float, float]]]:
     """A scene filmed twice, synchronised and not; true offsets (s) and drifts of the second."""
     rng = _draws(name, seed)
     scene = load_scene(name).model_copy(update={"n_frames": N_FRAMES})
-    twin = work / "sessions" / name
-    if not (twin / "calibration.toml").exists():
-        synthesise(scene, twin)
+    twin = session_of(name, work)
     names = open_clips(twin).rig.names
     true = {
         n: (float(rng.uniform(-1, 1)) * MOST_OFFSET_S, float(rng.uniform(-1, 1)) * MOST_DRIFT_MS_PER_S)
@@ -145,22 +140,16 @@ def _without_clocks(root: Path) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("sessions", nargs="*", help="scenes, or folders of sessions; default: all")
-    parser.add_argument("--test", action="store_true", help="the scenes kept for the final judgement")
+    parser = session_parser(__doc__, "out/synchrony")
     parser.add_argument("--no-poses", action="store_true", help="clocks only")
     parser.add_argument("--seeds", type=int, default=1, help="draws of clocks per session")
-    parser.add_argument("--work", type=Path, default=Path("out/synchrony"), help="sessions and runs go there")
-    parser.add_argument("--name", help="of the table")
     options = parser.parse_args(arguments)
-    names = options.sessions or (TEST if options.test else DEVELOPMENT)
     rows = []
-    for name in names:
+    for name in names_of(options, DEVELOPMENT, TEST):
         for seed in range(options.seeds):
             rows.append(evaluate(name, options.work, seed, not options.no_poses))
             print(rows[-1], flush=True)
-    table = options.name or ("test" if options.test else "development")
-    write_csv(RESULTS / f"synchrony_{table}.csv", list(rows[0]), rows)
+    write_table("synchrony", options, rows)
     return 0
 
 

@@ -25,6 +25,7 @@ from mocap.volume.rig_refinement import (
     RefinementSettings,
     outlines_of,
     refine_rig,
+    scaled,
 )
 
 Array = NDArray[np.float64]
@@ -47,9 +48,8 @@ class PlacementSettings:
     crown : share of his height that a walker's crown has in the mean of a step.  stride_m : by which the nearer sole is
     nearer than he is.  far_rad : of a pole's end that is not where it should be.  n_rounds : of cameras from poles and
     poles from cameras.  n_trials : of RANSAC.  least_frames : that a camera sees a walker whole in.  alike_deg : two
-    results that differ by less are one.  one_m : crown
-    and soles further apart over the floor are of two people.  tilt_rad : standard
-    deviation of up as bodies show it, and bob_m : of a crown's level as somebody walks.
+    results that differ by less are one.  one_m : crown and soles further apart over the floor are of two people.
+    tilt_rad : standard deviation of up as bodies show it, and bob_m : of a crown's level as somebody walks.
     refinement : of the tangents, from where some degrees and decimetres are wrong.
     """
 
@@ -128,7 +128,7 @@ def place_rig(
     for base, view in enumerate(views):
         begun = None if view is None else _begun(rig, seen, views, base, s)
         if begun is not None:
-            found.append(refine_rig(_larger(begun, height_m), hulls, s.refinement))
+            found.append(refine_rig(scaled(begun, height_m), hulls, s.refinement))
     found = [each for each in found if np.isfinite(each.apart_after_m)]
     if not found:
         return None
@@ -146,8 +146,7 @@ def place_rig(
 
 def _ends(seen: Outlines, up: Array, s: PlacementSettings) -> _Ends:
     """The pole in each frame, for a camera in whose frame `up` (3,) is up."""
-    ahead = _AXIS - up * up[2]
-    ahead = ahead / np.linalg.norm(ahead)
+    ahead = _level(_AXIS, up)
     right = np.cross(ahead, up)
     is_there = np.isfinite(seen.rays[..., 0])
     height = np.where(is_there, np.arcsin(np.clip(np.nan_to_num(seen.rays @ up), -1, 1)), np.nan)
@@ -173,6 +172,12 @@ def _ends(seen: Outlines, up: Array, s: PlacementSettings) -> _Ends:
         sole * keep[:, None],
         (crown_aside - feet) / np.where(tall > 0, tall, np.nan) * keep,
     )
+
+
+def _level(direction: Array, up: Array) -> Array:
+    """The level direction (3,), unit, that goes with one that need not be."""
+    level = direction - (direction @ up) * up
+    return np.asarray(level / np.linalg.norm(level))
 
 
 def _extreme(value: Array, counts: Bools, sign: int) -> Array:
@@ -230,8 +235,7 @@ def _begun(
     assert first is not None
     ups = [first.up if view is None else view.up for view in views]
     ends = _ends(seen[base], first.up, s)
-    ahead = _AXIS - first.up * first.up[2]
-    ahead = ahead / np.linalg.norm(ahead)
+    ahead = _level(_AXIS, first.up)
     turned = np.stack([np.cross(ahead, first.up), ahead, first.up], axis=1)
     poles = _on_floor(ends, first.up, turned, np.array([0.0, 0.0, first.raised]), s)
     placed = rig
@@ -292,11 +296,6 @@ def _resected(ends: _Ends, poles: Array, s: PlacementSettings) -> tuple[Array, A
     return R, -R.T @ shift.ravel()
 
 
-def _larger(rig: CameraRig, factor: float) -> CameraRig:
-    """The rig made larger by a factor, about the origin."""
-    return CameraRig(tuple(replace(camera, t=factor * camera.t) for camera in rig))
-
-
 def _apart_deg(one: CameraRig, other: CameraRig) -> float:
     """Largest angle by which a camera looks elsewhere in two rigs, seen from the first camera."""
     turns = [a.R @ one[0].R.T @ (b.R @ other[0].R.T).T for a, b in zip(one, other, strict=True)]
@@ -317,9 +316,7 @@ def _stood(
         return None
     middle = np.nanmedian(crowns, axis=0)
     origin = middle + up * (floor - middle @ up)
-    ahead = origin - found.rig[0].center
-    ahead = ahead - (ahead @ up) * up
-    ahead = ahead / np.linalg.norm(ahead)
+    ahead = _level(origin - found.rig[0].center, up)
     turn = np.stack([np.cross(ahead, up), ahead, up])
     cameras = []
     for camera in found.rig:
