@@ -7,14 +7,13 @@
 Of every session all cameras and the whole clip, and --draws of 3 to 7 cameras of it over two thirds of the clip. The
 lenses and the height of the tallest person in shoes are given, where cameras stand is not. Angles between pairs of
 cameras; places after the best fit of the whole rig; `scale` what the rig is too small by; `up_deg` the tilt of the
-world and `floor_mm` where its floor is; `told` the share of places within 2.5 of the stated deviations. A refusal of
-`mocap calibrate --place` is a row with its reason. Writes eval/results/place_rig_{development,test}.csv (--name:
-another name).
+world and `floor_mm` where its floor is; `told` the share of places within 2.5 of the stated deviations; `walks_at` the
+share of the stated height that the tallest moments have as the exact cameras see them. A refusal of `mocap calibrate
+--place` is a row with its reason. Writes eval/results/place_rig_{development,test}.csv (--name: another name).
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -23,12 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.refine_rig import RESULTS, WITHIN, Row, Seen, errors, place_errors, session_of
-from eval.whole import write_csv
+from eval.refine_rig import WITHIN, Seen, errors, place_errors
+from eval.session_tables import Row, names_of, session_of, session_parser, write_table
 from mocap.data import CameraRig
 from mocap.errors import MocapError
 from mocap.io.session import Session, open_session
 from mocap.pipeline.refine import look_at, placed_from
+from mocap.volume.rig_refinement import meetings, walking_height_m
 
 DEVELOPMENT = ("walk",)
 TEST = ("walk_final", "jog_test", "walk_test")
@@ -60,6 +60,8 @@ def evaluate(session: Session, seen: Seen, draw: int) -> Row:
     truth: CameraRig = session.rig
     height = stated_height_m(session.root)
     row: Row = {"session": session.root.name, "draw": draw, "cameras": len(truth), "frames": len(seen[0][0])}
+    exact = meetings(truth, seen[0])
+    row["walks_at"] = round(walking_height_m(exact.points, exact.frames) / height, 4)
     try:
         placed = placed_from(session, *seen, height)
     except MocapError as error:
@@ -86,22 +88,17 @@ def evaluate(session: Session, seen: Seen, draw: int) -> Row:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("sessions", nargs="*", help="scenes, or folders of sessions; default: all")
-    parser.add_argument("--test", action="store_true", help="the scenes kept for the final judgement")
+    parser = session_parser(__doc__, "out/refine_rig")
     parser.add_argument("--draws", type=int, default=20, help="beside the whole of each session")
-    parser.add_argument("--work", type=Path, default=Path("out/refine_rig"), help="sessions go there")
-    parser.add_argument("--name", help="of the table")
     options = parser.parse_args(arguments)
     rows = []
-    for name in options.sessions or (TEST if options.test else DEVELOPMENT):
+    for name in names_of(options, DEVELOPMENT, TEST):
         session = open_session(session_of(name, options.work))
         seen = look_at(session, n_threads=1)
         for draw in range(options.draws + 1):
             rows.append(evaluate(*drawn(session, seen, draw), draw))
             print(rows[-1], flush=True)
-    table = options.name or ("test" if options.test else "development")
-    write_csv(RESULTS / f"place_rig_{table}.csv", list(rows[0]), rows)
+    write_table("place_rig", options, rows)
     return 0
 
 

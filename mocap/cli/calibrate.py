@@ -15,6 +15,7 @@ from mocap.errors import MocapError
 
 if TYPE_CHECKING:
     from mocap.calibrate import Board, Lens, LensModel, WorldPoints
+    from mocap.volume.rig_refinement import CameraMove
 
 BoardOption = Annotated[
     str,
@@ -118,6 +119,18 @@ def calibrate(
             "--height-m", min=0.5, max=2.5, help="Of the (tallest) person; sets the scale. --place needs it."
         ),
     ] = None,
+    moved: Annotated[
+        str | None,
+        typer.Option(
+            "--moved", metavar="CAM", help="With --refine: this camera alone, which was pushed in mid-take."
+        ),
+    ] = None,
+    from_frame: Annotated[
+        int | None,
+        typer.Option(
+            "--from-frame", min=1, help="Of the session, from which on --moved CAM stands still again."
+        ),
+    ] = None,
     picture: Annotated[
         Path | None,
         typer.Option("--picture", help="With --refine: PNG of what was moved, and what it gained."),
@@ -126,8 +139,9 @@ def calibrate(
     """Lenses and places of the cameras from clips of a board that they all film; OUT.html says how good they are.
 
     --refine SESSION corrects the places of a calibration that is off by some degrees and centimetres, from people who
-    walk in the session's clips, and writes a new file. --place SESSION finds the places from nothing, by one person who
-    walks; lenses must be known.
+    walk in the session's clips, and writes a new file; with --moved CAM --from-frame N one camera that was pushed in
+    mid-take, and session.toml says from which frame on the new file holds. --place SESSION finds the places from
+    nothing, by one person who walks; lenses must be known.
     """
     of_board: dict[str, object] = {"BOARD": clips, "--floor-frame": floor_frame, "--points": points}
     of_lenses: dict[str, object] = {"--board": board, "--square-mm": square_mm, "--lenses": lenses}
@@ -135,14 +149,26 @@ def calibrate(
         "--calibration": calibration,
         "--height-m": height_m,
         "--picture": picture,
+        "--moved": moved,
+        "--from-frame": from_frame,
     }
+    of_move = {"--moved": moved, "--from-frame": from_frame}
+    if refine is not None and (moved is not None or from_frame is not None):
+        strange = (
+            of_board | of_lenses | {"--place": place, "--calibration": calibration, "--height-m": height_m}
+        )
+        _check_options(strange, tuple(of_move), "a camera that was moved", "leave it out", of_move)
+        assert moved is not None  # the check above has seen to it
+        assert from_frame is not None
+        _refine_moved(refine, out, moved, from_frame, frames, picture)
+        return
     if refine is not None:
         _check_options(of_board | of_lenses | {"--place": place}, (), "--refine", "leave it out")
         _refine(refine, out, calibration, height_m, frames, picture)
         return
     if place is not None:
         _check_options(
-            of_board | {"--calibration": calibration, "--picture": picture},
+            of_board | of_move | {"--calibration": calibration, "--picture": picture},
             ("--height-m", *(("--board", "--square-mm") if lenses is not None and lenses.is_dir() else ())),
             "--place",
             "leave it out",
@@ -205,11 +231,7 @@ def _refine(
         )
     found = refined.refinement
     for name, move in found.moves.items():
-        typer.echo(
-            f"{name}: turned by {move.turn_deg:.2f} degrees (± {move.turn_std_deg:.2f}), moved by "
-            f"{1000 * move.shift_m:.0f} mm (± {1000 * move.shift_std_m:.0f}); lines of sight apart "
-            f"{1000 * move.apart_before_m:.1f} -> {1000 * move.apart_after_m:.1f} mm"
-        )
+        _echo_move(name, move)
     if height_m is not None:
         typer.echo(f"Scaled by {refined.factor:.4f} for somebody of {height_m:.2f} m")
     write_refined(out, refined)
@@ -220,6 +242,34 @@ def _refine(
         f"Lines of sight {1000 * found.apart_before_m:.1f} -> {1000 * found.apart_after_m:.1f} mm apart; written to "
         f"{out}. Use it: mocap run {session} --calibration {out}"
     )
+
+
+def _refine_moved(
+    session: Path, out: Path, camera: str, from_frame: int, n_frames: int | None, picture: Path | None
+) -> None:
+    """A camera that was pushed during a session, found again from a frame on."""
+    from mocap.io.calibration import read_calibration
+    from mocap.pipeline.refine import N_FRAMES, check_new, refine_moved, write_moved, write_picture
+
+    check_new(out)
+    with progress_bar() as progress:
+        refined = refine_moved(session, camera, from_frame, n_frames=n_frames or N_FRAMES, progress=progress)
+    for name, move in refined.refinement.moves.items():
+        _echo_move(name, move)
+    settings = write_moved(out, refined, session)
+    if picture is not None:
+        write_picture(picture, refined, read_calibration(refined.source).rig)
+        typer.echo(f"Picture in {picture}")
+    typer.echo(
+        f"Written: {out}, and {settings}: it holds from frame {from_frame} on. Run it: mocap run {session}"
+    )
+
+
+def _echo_move(name: str, move: CameraMove) -> None:
+    from mocap.pipeline.refine import words
+
+    apart = f"{1000 * move.apart_before_m:.1f} -> {1000 * move.apart_after_m:.1f} mm"
+    typer.echo(f"{name}: {words(move)}; lines of sight apart {apart}")
 
 
 def _place(

@@ -241,7 +241,7 @@ def track(
 
 def _run(order: Order) -> RunResult:
     """Run what is ordered and say what was found; Ctrl-C says what was kept."""
-    from mocap.pipeline.run import run_session
+    from mocap.pipeline.stretches import run_recording
 
     config = read_config(
         order.preset,
@@ -253,7 +253,7 @@ def _run(order: Order) -> RunResult:
     done = FinishedStages()
     listening = profiled() if order.profile else nullcontext()
     with listening as profile, how_to_go_on(lambda: _kept(order, done)), progress_bar() as show:
-        result = run_session(
+        result = run_recording(
             order.session,
             order.out,
             config=config,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -195,6 +196,10 @@ def check(
 
     opened = open_session(session, calibration=calibration, frames=parse_frames(frames))
     findings = [*check_session(opened), *check_people(opened)]
+    for stretch in opened.stretches[1:]:
+        part = open_session(session, calibration=calibration, frames=(stretch.start, stretch.stop))
+        for said in check_people(part):
+            findings.append(replace(said, message=f"from frame {stretch.start} on, {said.message}"))
     for finding in findings:
         where = f" [{finding.camera}]" if finding.camera else ""
         remedy = f" Remedy: {finding.remedy}." if finding.remedy else ""

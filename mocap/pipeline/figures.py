@@ -135,7 +135,8 @@ def silhouette_numbers(record: RunRecord, found: Found) -> SilhouetteNumbers:
         hull = hull_from_arrays(grid, hulls.read(int(frame)))
         silhouettes = masks_from_arrays(masks.read(int(frame)), found.session)
         if len(hull):
-            uncovered.append(silhouette_residuals(hull, silhouettes, found.session.rig).uncovered)
+            rig = found.session.rig_at(int(frame))
+            uncovered.append(silhouette_residuals(hull, silhouettes, rig).uncovered)
     for c, name in enumerate(found.session.rig.names):
         known = [float(row[c]) for row in uncovered if np.isfinite(row[c])]
         numbers[name]["residual"] = float(np.median(known)) if known else None

@@ -92,6 +92,8 @@ def input_hash(session: Session, hashes: FileHashes) -> str:
             digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
     for name, places in session.clip_frames.items():
         digest.update(f"clip_frames {name} ".encode() + places[session.frames.start :].tobytes())
+    for frame, later in session.later_calibrations.items():
+        digest.update(f"from {frame} {hashes.of(later.path)} ".encode())
     for name, file in input_files(session):
         digest.update(f"{name} {os.fsencode(file.name)!r} {hashes.of(file)} ".encode())
     return digest.hexdigest()[:16]

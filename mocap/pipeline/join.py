@@ -45,7 +45,7 @@ from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
 from mocap.products.followed import read_followed, store_followed
-from mocap.products.hulls import rig_offset_m
+from mocap.products.hulls import rig_offset_m, stored_grid
 from mocap.products.occluders import occluder_attrs, occluder_rows, stored_occluders
 from mocap.products.one_run import check_one_run
 from mocap.products.poses import store_poses
@@ -121,6 +121,7 @@ def join_runs(
     )
     _check_same_run(found)
     _check_neighbours(found)
+    _check_same_room(found)
     first = found[0].record
     config = first.config.model_copy(update={"edits": Edits()})
     frames = range(found[0].frames.start, found[-1].frames.stop)
@@ -250,6 +251,24 @@ def _check_neighbours(pieces: Sequence[Piece]) -> None:
                 f"three pieces share frame {late.frames.start}",
                 path=late.out,
                 remedy="leave the middle one out, or give it frames of its own",
+            )
+
+
+def _check_same_room(pieces: Sequence[Piece]) -> None:
+    """Raises MocapError unless all pieces have the voxels and the picture sizes of the first.
+
+    They may have calibrations of their own, where a camera was pushed.
+    """
+    first = pieces[0]
+    grid, sizes = stored_grid(first.store), [camera.size for camera in first.session.rig]
+    for piece in pieces[1:]:
+        own = stored_grid(piece.store)
+        is_same = own.shape == grid.shape and np.array_equal(own.origin, grid.origin)
+        if not is_same or [camera.size for camera in piece.session.rig] != sizes:
+            raise MocapError(
+                f"the voxels or pictures of this piece are not those of {first.out}: its cameras stand elsewhere",
+                path=piece.out,
+                remedy="give the room in session.toml, room_bounds_m, and set segmentation.pixels_per_voxel=0",
             )
 
 

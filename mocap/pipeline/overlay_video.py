@@ -57,7 +57,8 @@ def overlay_videos(
                     (p.person, p.landmarks[k], p.observed[k], body_parts(p.body, p.states[k]))
                     for p, k in rows
                 ]
-                for writer, camera, image in zip(writers, rig, images, strict=True):
+                for writer, name, image in zip(writers, names, images, strict=True):
+                    camera = session.rig_at(frame)[name]
                     picture = image
                     for person, landmarks, observed, flesh in bodies:
                         picture = draw_body(picture, camera, flesh)

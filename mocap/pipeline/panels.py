@@ -40,11 +40,12 @@ def _volume_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]
         hull = hull_from_arrays(grid, hulls.read(int(frame)))
         mask = masks_from_arrays(masks.read(int(frame)), session)
         rows = rows_at(found.poses, int(frame))
+        rig = session.rig_at(int(frame))
         for c in _chosen_cameras(found, settings):
             yield FramePanel(
                 frame=int(frame),
-                title=f"{session.rig[c].name}",
-                images=tuple(_views(session.rig[c], images[c], mask[c], hull, rows)),
+                title=f"{rig[c].name}",
+                images=tuple(_views(rig[c], images[c], mask[c], hull, rows)),
             )
 
 

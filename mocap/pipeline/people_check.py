@@ -34,7 +34,7 @@ def check_people(session: Session) -> list[Finding]:
 
 def hulls_to_check(session: Session) -> list[list[Array]]:
     """Hulls of the silhouettes that are looked at, per camera and frame."""
-    frames = session.frames[:_WITHIN]
+    frames = session.stretches[0][:_WITHIN]
     return hulls_of(session, frames[:: max(1, len(frames) // _N_FRAMES)])
 
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from mocap.data import CameraRig
 from mocap.errors import MocapError, did_you_mean
 from mocap.io._files import atomic_text, writing
 from mocap.io.session import OpenedClips, open_clips, read_session_settings
+from mocap.io.session.settings import with_tables
 from mocap.io.session.timeline import TIMESTAMPS_FILE, differing_rates, own_times
 from mocap.io.sound import loudness_of
 from mocap.io.tables import write_timestamps_csv
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _IRREGULAR = 0.5  # of a frame: time stamps further from an even rate are those of a clip of varying rate
+_Told = TypeVar("_Told")
 By = Literal["people", "light", "sound"]
 _DRAWN: dict[By, str] = {"people": "tangent, m", "light": "brightness", "sound": "loudness"}
 _NOTHING: dict[By, str] = {
@@ -46,8 +47,6 @@ _INSTEAD: dict[By, str] = {
     "sound": "clap where all cameras hear it, once or at uneven intervals",
 }
 _COARSE = 8  # every so many pixels tell how bright a picture is
-_TABLES = ("offset_s", "clip_fps")
-_HEADER = re.compile(r"^\s*\[")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,18 +106,11 @@ def find_clocks(
     times, varying = _own_times(clips)
     n_threads = n_threads or min(2, os.cpu_count() or 1)
     if by == "people":
-        seen = _silhouettes(clips, times, n_threads, progress)
+        seen = _of_each_camera("silhouettes", _silhouettes, clips, times, n_threads, progress)
         found = synchronise(clips.rig, seen, SynchronySettings(max_lag_s=max_lag_s), reference=reference)
     else:
-        of_each = _brightness if by == "light" else _loudness
-        done = iter(range(len(clips.rig)))
-
-        def signal(name: str) -> Signal:
-            got = of_each(clips, name, times[name])
-            progress(by, next(done) + 1, len(clips.rig))
-            return got
-
-        signals = in_parallel(signal, clips.rig.names, n_threads)
+        signal = _brightness if by == "light" else _loudness
+        signals = _of_each_camera(by, signal, clips, times, n_threads, progress)
         settings = SOUND if by == "sound" else light_settings(clips.fps)
         found = synchronise_signals(
             clips.rig.names, signals, settings, max_lag_s=max_lag_s, reference=reference
@@ -140,18 +132,30 @@ def find_clocks(
     return SessionClocks(found, clips.fps, times, varying, by)
 
 
-def _silhouettes(
-    clips: OpenedClips, times: dict[str, Array], n_threads: int, progress: Progress
-) -> list[Silhouettes]:
+def _of_each_camera(
+    stage: str,
+    tells: Callable[[OpenedClips, str, Array], _Told],
+    clips: OpenedClips,
+    times: dict[str, Array],
+    n_threads: int,
+    progress: Progress,
+) -> list[_Told]:
+    """What each camera has to say of its clock, and word of it as `stage`."""
     done = iter(range(len(clips.rig)))
 
-    def seen(name: str) -> Silhouettes:
-        hulls = [silhouette_hull(mask) for mask in _masks(clips, name)]
-        progress("silhouettes", next(done) + 1, len(clips.rig))
-        n = min(len(hulls), len(times[name]))
-        return Silhouettes(times[name][:n], hulls[:n])
+    def told(name: str) -> _Told:
+        found = tells(clips, name, times[name])
+        progress(stage, next(done) + 1, len(clips.rig))
+        return found
 
-    return in_parallel(seen, clips.rig.names, n_threads)
+    return in_parallel(told, clips.rig.names, n_threads)
+
+
+def _silhouettes(clips: OpenedClips, name: str, times: Array) -> Silhouettes:
+    """What a camera sees of people."""
+    hulls = [silhouette_hull(mask) for mask in _masks(clips, name)]
+    n = min(len(hulls), len(times))
+    return Silhouettes(times[:n], hulls[:n])
 
 
 def _brightness(clips: OpenedClips, name: str, times: Array) -> Signal:
@@ -192,9 +196,7 @@ def write_clocks(session: Path | str, clocks: SessionClocks) -> tuple[Path, ...]
         written.append(root / TIMESTAMPS_FILE)
     path = root / "session.toml"
     before = path.read_text(encoding="utf-8") if path.exists() else ""
-    after = _without(before, _TABLES)
-    if clocks.off:
-        after = (after.rstrip() + "\n\n" if after.strip() else "") + _tables(clocks)
+    after = with_tables(before, _tables(clocks))
     if after != before:
         atomic_text(path, after)
         read_session_settings(path)
@@ -229,28 +231,22 @@ def _clearest(clocks: SessionClocks, name: str) -> ClockCurve:
     )
 
 
-def _tables(clocks: SessionClocks) -> str:
-    reference = clocks.found.reference
-    lines = [
+def _tables(clocks: SessionClocks) -> dict[str, str]:
+    """Tables of session.toml by name, empty where there is nothing to say."""
+    reference, off = clocks.found.reference, clocks.off
+    offsets = [
         f"[offset_s]  # when each clip begins, on the clock of {reference}; found by `mocap sync`",
-        *(f'"{name}" = {clocks.found.clocks[name].offset_s:.4f}' for name in clocks.off),
+        *(f'"{name}" = {clocks.found.clocks[name].offset_s:.4f}' for name in off),
     ]
-    drifting = [name for name in clocks.off if clocks.found.clocks[name].drift]
-    if drifting and not clocks.has_varying_rate:
-        lines += ["", f"[clip_fps]  # pictures per second on the clock of {reference}"]
-        lines += [f'"{name}" = {clocks.rate_of(name):.6f}' for name in clocks.found.clocks]
-    return "\n".join(lines) + "\n"
-
-
-def _without(text: str, tables: Iterable[str]) -> str:
-    """A TOML document without some of its tables; comments elsewhere stay."""
-    kept, is_kept = [], True
-    for line in text.splitlines(keepends=True):
-        if _HEADER.match(line):
-            is_kept = line.split("]")[0].strip(" \t[") not in tables
-        if is_kept:
-            kept.append(line)
-    return "".join(kept)
+    is_drifting = any(clocks.found.clocks[name].drift for name in off) and not clocks.has_varying_rate
+    rates = [
+        f"[clip_fps]  # pictures per second on the clock of {reference}",
+        *(f'"{name}" = {clocks.rate_of(name):.6f}' for name in clocks.found.clocks),
+    ]
+    return {
+        "offset_s": "\n".join(offsets if off else ()),
+        "clip_fps": "\n".join(rates if is_drifting else ()),
+    }
 
 
 def _own_times(clips: OpenedClips) -> tuple[dict[str, Array], tuple[str, ...]]:

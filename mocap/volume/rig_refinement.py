@@ -31,7 +31,7 @@ _SCALE_HELD = 1e8  # information on the size of the rig, which its places alone 
 _WIDEST_RAD = 1.2  # people who stand so near to the line between two cameras have no tangents of use
 _NEAREST_M = 0.3  # of a camera nobody stands
 _TOP_SHARE = 0.95  # frames in which somebody stands less tall: knees bend in the middle of every step
-# Who walks is less tall than who stands: by 0.1 to 2 % on four realistic sessions seen by their exact cameras.
+# Of his height, that the tallest moments of a walker have: `walks_at` of `python -m eval.place_rig`.
 _WALKING = 0.99
 _TOP_POINTS = 4  # of a frame that agree on where its highest place is
 _LEAST_FRAMES = 20
@@ -79,9 +79,9 @@ class CameraMove:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """rig : the cameras in their new places.  moves : by name.  apart_before_m, apart_after_m : median distance
-    between lines of sight of all pairs, NaN when none could be compared.  points : (N, 3) m, world, where lines of
-    sight meet afterwards, and frames : (N,) of them."""
+    """rig : the cameras in their new places.  moves : of those that might move, by name.  apart_before_m,
+    apart_after_m : median distance between lines of sight of all their pairs, NaN when none could be compared.
+    points : (N, 3) m, world, where lines of sight meet afterwards, and frames : (N,) of them."""
 
     rig: CameraRig
     moves: Mapping[str, CameraMove]
@@ -118,12 +118,16 @@ class Outlines(NamedTuple):
 
 
 def refine_rig(
-    rig: CameraRig, hulls: Sequence[Sequence[Array]], settings: RefinementSettings | None = None
+    rig: CameraRig,
+    hulls: Sequence[Sequence[Array]],
+    settings: RefinementSettings | None = None,
+    moving: Sequence[str] | None = None,
 ) -> Refinement:
     """Cameras turned and shifted so that the tangents of all silhouettes meet; lenses are kept.
 
     hulls : per camera and frame the corners (P, 2) px of the convex hull of the silhouettes (`silhouette_hull`), empty
-    where there is none; frames belong together.
+    where there is none; frames belong together.  moving : cameras that may move, None = all; the others are held where
+    they are, and only lines of sight of those that may move are compared.
     Raises ValueError for fewer than two cameras, or another number of them or of frames.
     Source: Sinha and Pollefeys 2004; robust least squares over all cameras with a prior.
     """
@@ -135,21 +139,21 @@ def refine_rig(
         )
     s = settings or RefinementSettings()
     seen = [outlines_of(camera, own) for camera, own in zip(rig, hulls, strict=True)]
+    free = np.array([moving is None or name in moving for name in rig.names])
     prior = np.tile([s.shift_m**-2] * 3 + [np.radians(s.turn_deg) ** -2] * 3, len(rig))
-    given = before = _pairs(rig, seen, s)
+    given = before = _pairs(rig, seen, s, free)
     found, moved, information = rig, np.zeros((len(rig), _BLOCK)), np.diag(prior)
     for _ in range(s.n_steps):
         gradient, told = _normal_equations(before, len(rig), s)
         information = told + np.diag(prior)
-        step = _step(information, gradient - prior * moved.ravel(), found)
+        step = _step(information, gradient - prior * moved.ravel(), found, free)
         found = CameraRig(tuple(_moved(camera, by) for camera, by in zip(found, step, strict=True)))
         moved = moved + step
-        before = _pairs(found, seen, s)
+        before = _pairs(found, seen, s, free)
         if np.abs(step).max() < _DONE:
             break
-    left = _free_of_gauge(np.linalg.inv(information), prior, found)
-    assumed = _free_of_gauge(np.diag(1 / prior), prior, found)
-    return _told(rig, found, (given, before), left, assumed)
+    left, assumed = (_covariance(told, prior, found, free) for told in (information, np.diag(prior)))
+    return _told(rig, found, (given, before), left, assumed, free)
 
 
 class Meeting(NamedTuple):
@@ -171,7 +175,7 @@ def meetings(rig: CameraRig, hulls: Sequence[Sequence[Array]]) -> Meeting:
     hulls : as of `refine_rig`.
     """
     seen = [outlines_of(camera, own) for camera, own in zip(rig, hulls, strict=True)]
-    pairs = _pairs(rig, seen, RefinementSettings())
+    pairs = _pairs(rig, seen, RefinementSettings(), np.ones(len(rig), dtype=np.bool_))
     if not pairs:
         return Meeting(np.zeros(0), np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
     return Meeting(
@@ -185,6 +189,15 @@ def meetings(rig: CameraRig, hulls: Sequence[Sequence[Array]]) -> Meeting:
 def standing_height_m(points: Array, frames: NDArray[np.int64]) -> float:
     """Of the tallest person who walks, m above the floor as he would stand; NaN when it cannot be told.
 
+    points, frames : as of `walking_height_m`.
+    """
+    return walking_height_m(points, frames) / _WALKING
+
+
+def walking_height_m(points: Array, frames: NDArray[np.int64]) -> float:
+    """What the tallest person who walks reaches in the tallest moments of his steps, m above the floor; NaN when it
+    cannot be told.
+
     points : (N, 3) m, world, where lines of sight meet, and frames : (N,) of them.
     """
     tops = []
@@ -192,7 +205,7 @@ def standing_height_m(points: Array, frames: NDArray[np.int64]) -> float:
         heights = np.sort(points[frames == frame, 2])
         if len(heights) >= 2 * _TOP_POINTS:
             tops.append(np.median(heights[-_TOP_POINTS:]))
-    return float(np.quantile(tops, _TOP_SHARE)) / _WALKING if len(tops) >= _LEAST_FRAMES else float("nan")
+    return float(np.quantile(tops, _TOP_SHARE)) if len(tops) >= _LEAST_FRAMES else float("nan")
 
 
 def _meeting_points(rig: CameraRig, pairs: Sequence[_Pair]) -> Array:
@@ -223,13 +236,15 @@ def outlines_of(camera: Camera, hulls: Sequence[Array]) -> Outlines:
     return Outlines(rays, inside)
 
 
-def _pairs(rig: CameraRig, seen: Sequence[Outlines], s: RefinementSettings) -> list[_Pair]:
-    """The tangents that two cameras both see, of all pairs of cameras, lower and upper."""
+def _pairs(
+    rig: CameraRig, seen: Sequence[Outlines], s: RefinementSettings, free: NDArray[np.bool_]
+) -> list[_Pair]:
+    """The tangents that two cameras both see, of all pairs with a camera that is free (C,), lower and upper."""
     focus = focus_of(rig)
     rays = [own.rays @ camera.R for camera, own in zip(rig, seen, strict=True)]
     found = []
     for i, j in combinations(range(len(rig)), 2):
-        planes = spanned_planes(rig[i].center, rig[j].center, focus)
+        planes = spanned_planes(rig[i].center, rig[j].center, focus) if free[i] or free[j] else None
         if planes is None:
             continue
         places = [_touching(rays[c], seen[c].is_inside, planes.axes) for c in (i, j)]
@@ -300,11 +315,14 @@ def _normal_equations(pairs: Sequence[_Pair], n_cameras: int, s: RefinementSetti
     return gradient, information
 
 
-def _step(information: Array, gradient: Array, rig: CameraRig) -> Array:
-    """Shifts and turns (C, 6) towards the minimum, which leave the size of the rig as it is."""
-    larger = _gauge(rig)[:, -1]
-    held = information + _SCALE_HELD * np.outer(larger, larger)
-    return np.asarray(np.linalg.solve(held, gradient)).reshape(len(rig), _BLOCK)
+def _step(information: Array, gradient: Array, rig: CameraRig, free: NDArray[np.bool_]) -> Array:
+    """Shifts and turns (C, 6) towards the minimum; cameras that are not free stay, or else the size of the rig does."""
+    step, at = np.zeros(len(information)), np.repeat(free, _BLOCK)
+    if free.all():
+        larger = _gauge(rig)[:, -1]
+        information = information + _SCALE_HELD * np.outer(larger, larger)
+    step[at] = np.linalg.solve(information[np.ix_(at, at)], gradient[at])
+    return step.reshape(len(rig), _BLOCK)
 
 
 def _gauge(rig: CameraRig) -> Array:
@@ -320,6 +338,14 @@ def _gauge(rig: CameraRig) -> Array:
     columns[:, :3, 6] = arms
     flat = columns.reshape(-1, 7)
     return np.asarray(flat / np.linalg.norm(flat, axis=0))
+
+
+def _covariance(information: Array, prior: Array, rig: CameraRig, free: NDArray[np.bool_]) -> Array:
+    """The covariance (6C, 6C) of the cameras that are free, against those held; where none is, against each other."""
+    at = np.ix_(np.repeat(free, _BLOCK), np.repeat(free, _BLOCK))
+    covariance = np.zeros_like(information)
+    covariance[at] = np.linalg.inv(information[at])
+    return _free_of_gauge(covariance, prior, rig) if free.all() else covariance
 
 
 def _free_of_gauge(covariance: Array, prior: Array, rig: CameraRig) -> Array:
@@ -342,11 +368,17 @@ def _median_apart(pairs: Sequence[_Pair]) -> float:
 
 
 def _told(
-    given: CameraRig, found: CameraRig, pairs: tuple[list[_Pair], list[_Pair]], left: Array, assumed: Array
+    given: CameraRig,
+    found: CameraRig,
+    pairs: tuple[list[_Pair], list[_Pair]],
+    left: Array,
+    assumed: Array,
+    free: NDArray[np.bool_],
 ) -> Refinement:
-    """The result with what became of every camera."""
+    """The result with what became of every camera that is free (C,)."""
     moves = {}
-    for c, (old, new) in enumerate(zip(given, found, strict=True)):
+    for c in np.flatnonzero(free):
+        old, new = given[int(c)], found[int(c)]
         own = [[pair for pair in some if c in (pair.i, pair.j)] for some in pairs]
         at = slice(c * _BLOCK, (c + 1) * _BLOCK)
         after, before = np.diag(left)[at], np.diag(assumed)[at]

@@ -49,7 +49,7 @@ def read_toml(path: Path) -> RawRig:
         tuple(found.cameras),
         "caliscope" if is_caliscope else "anipose",
         rms_px=_rms_px(metadata, found.errors_px),
-        notes=tuple(found.notes),
+        notes=(*found.notes, *([note] if isinstance(note := metadata.get("note"), str) else ())),
         warnings=tuple(found.warnings),
     )
     return _with_up(path, _with_units(path, raw, metadata, list(tables.values())), metadata)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import CameraRig
+from mocap.data import Camera, CameraRig
 from mocap.data.depth import DepthUnits
 from mocap.io.calibration import CalibrationFile
 from mocap.io.session.settings import Bounds, Polygon
@@ -30,6 +31,8 @@ class Session:
     room_bounds_m : (lower, upper) corners, m, world.  checkerboard : inner corners (columns, rows).
     roi_sources, roi_px : camera name -> picture that is not 0, or polygon of (u, v), where persons can be; cameras with
     neither look everywhere.
+    later_calibrations : frame -> calibration that holds from there on, of frames after the first, ascending; a session
+    is opened with what holds at its first frame.
     notes : conversions of the calibration reader.  warnings : what the user should know before trusting a run.
     """
 
@@ -59,6 +62,33 @@ class Session:
     roi_sources: dict[str, Path] = field(default_factory=dict)
     roi_px: dict[str, Polygon] = field(default_factory=dict)
     clip_frames: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    later_calibrations: dict[int, CalibrationFile] = field(default_factory=dict)
+
+    @property
+    def stretches(self) -> tuple[range, ...]:
+        """The frames, parted where another calibration begins to hold."""
+        edges = [self.frames.start, *self.later_calibrations, self.frames.stop]
+        return tuple(range(first, stop) for first, stop in pairwise(edges))
+
+    def rig_at(self, frame: int) -> CameraRig:
+        """The cameras as they stand in a frame, in the sizes of `rig`."""
+        holding = [found for first, found in self.later_calibrations.items() if first <= frame]
+        if not holding:
+            return self.rig
+        cameras = []
+        for camera in self.rig:
+            own = holding[-1].rig[camera.name]
+            cameras.append(own if own.size == camera.size else own.reduced(own.size[0] // camera.size[0]))
+        return CameraRig(tuple(cameras))
+
+    def is_pushed(self, frame: int) -> NDArray[np.bool_]:
+        """Which cameras (C,) stand elsewhere in a frame than `rig` has them."""
+        return np.array([not stands_alike(*pair) for pair in zip(self.rig, self.rig_at(frame), strict=True)])
+
+
+def stands_alike(one: Camera, other: Camera) -> bool:
+    """Whether a camera is at the same place and looks the same way in two calibrations."""
+    return np.allclose(one.R, other.R) and np.allclose(one.t, other.t)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -26,7 +26,7 @@ from mocap.io.session.frames import (
     frames_of_timeline,
     rig_with_true_sizes,
 )
-from mocap.io.session.record import Finding, Session
+from mocap.io.session.record import Finding, Session, stands_alike
 from mocap.io.session.settings import SessionSettings, bad_key, read_session_settings
 from mocap.io.session.sources import (
     Sources,
@@ -51,6 +51,9 @@ class Opening:
     wanted_frames: Frames | None = None
     settings: SessionSettings = field(init=False)
     calibration: CalibrationFile = field(init=False)
+    # Calibrations of later frames, and cameras that were pushed before the first.
+    later: dict[int, CalibrationFile] = field(default_factory=dict)
+    pushed: frozenset[str] = frozenset()
     sources: Sources = field(init=False)
     rig: CameraRig = field(init=False)
     images: dict[str, Path] = field(init=False)
@@ -89,14 +92,41 @@ def _settings(o: Opening) -> list[Finding]:
 
 def _calibration(o: Opening) -> list[Finding]:
     """There is one calibration, and it can be."""
+    dated = {} if o.wanted_calibration is not None else o.settings.calibration_from or {}
+    begin = (o.wanted_frames or o.settings.frames or (None, None))[0] or 0
     path = o.wanted_calibration if o.wanted_calibration is not None else find_calibration(o.root)
-    o.calibration = read_calibration(path, units=o.settings.calibration_units, up=o.settings.calibration_up)
+    first = read_calibration(path, units=o.settings.calibration_units, up=o.settings.calibration_up)
+    # Later ones were written for this session, and say themselves what they are in.
+    later = {frame: read_calibration(o.root / name) for frame, name in dated.items()}
+    o.calibration = next((found for frame, found in reversed(later.items()) if frame <= begin), first)
+    o.later = {frame: found for frame, found in later.items() if frame > begin}
+    for frame, found in later.items():
+        if lacking := [name for name in first.rig.names if name not in found.rig.names]:
+            raise bad_key(
+                o.root / "session.toml", f"calibration_from.{frame}", f"lacks camera {', '.join(lacking)}"
+            )
+    o.pushed = frozenset(c.name for c in first.rig if not stands_alike(c, o.calibration.rig[c.name]))
     return [Finding("warning", text) for text in o.calibration.warnings]
+
+
+def _later_calibrations(o: Opening) -> list[Finding]:
+    """What holds from a later frame of the session on is said."""
+    o.later = {frame: found for frame, found in o.later.items() if o.frames.start < frame < o.frames.stop}
+    said = []
+    for frame, found in o.later.items():
+        notes = f": {'; '.join(found.notes)}" if found.notes else ""
+        said.append(
+            Finding("warning", f"from frame {frame} on the cameras stand as in {found.path.name}{notes}")
+        )
+    return said
 
 
 def _sources(o: Opening) -> list[Finding]:
     """Every file belongs to a calibrated camera."""
     o.sources, warnings = match_sources(o.root, o.settings, o.calibration.rig, o.calibration.path)
+    # The empty clip of a camera that was pushed shows where it stood before.
+    background = {name: path for name, path in o.sources.background.items() if name not in o.pushed}
+    o.sources = replace(o.sources, background=background)
     names = o.calibration.rig.names
     if strangers := [n for n in o.settings.roi_px or {} if n not in names]:
         raise bad_key(
@@ -194,6 +224,7 @@ OPENING: tuple[Callable[[Opening], list[Finding]], ...] = (
     _sizes,
     _frame_rate,
     _frames,
+    _later_calibrations,
     _depth,
 )
 CHECKING: tuple[Callable[[Session], list[Finding]], ...] = (
@@ -254,6 +285,7 @@ def open_session(
         roi_sources=_of(o.rig, o.sources.roi),
         roi_px=_of(o.rig, o.settings.roi_px or {}),
         clip_frames=o.clip_frames,
+        later_calibrations=o.later,
     )
 
 

@@ -19,6 +19,8 @@ Polygon = tuple[tuple[float, float], ...]
 # Clips that begin further apart are not of one recording.
 MOST_OFFSET_S = 3600.0
 
+_HEADER = re.compile(r"^\s*\[")  # of a table
+
 _COLOURS = {
     "white": (255, 255, 255),
     "red": (255, 0, 0),
@@ -49,6 +51,7 @@ class SessionSettings:
     roi_px: Mapping[str, Polygon] | None = None
     offset_s: Mapping[str, float] | None = None
     clip_fps: Mapping[str, float] | None = None
+    calibration_from: Mapping[int, str] | None = None
     depth: DepthUnits = field(default_factory=DepthUnits)
 
 
@@ -59,8 +62,9 @@ def read_session_settings(path: Path | str) -> SessionSettings:
     "red" | "#rrggbb" | [r, g, b], cameras = ["camera name", ...] (the others are left out), calibration_units,
     calibration_up, checkerboard = [columns, rows] (inner corners), checkerboard_square_m, and the tables
     [camera_map] file name = "camera name", [roi_px] camera name = [[u, v], ...] (corners of a polygon), [offset_s]
-    camera name = seconds after the start of the session at which its clip begins, [clip_fps] camera name = rate, and
-    [depth] unit_mm = millimetres that a number of a depth map stands for, scale = its pixels per pixel of the camera.
+    camera name = seconds after the start of the session at which its clip begins, [clip_fps] camera name = rate,
+    [calibration_from] frame = "file" that holds from that frame on, and [depth] unit_mm = millimetres that a number of
+    a depth map stands for, scale = its pixels per pixel of the camera.
     Raises MocapError naming the key for anything else.
     """
     path = Path(path)
@@ -88,6 +92,7 @@ def read_session_settings(path: Path | str) -> SessionSettings:
         roi_px=_polygons(path, document),
         offset_s=_by_camera(path, document, "offset_s", -MOST_OFFSET_S, MOST_OFFSET_S),
         clip_fps=_by_camera(path, document, "clip_fps", 0.1, 10_000),
+        calibration_from=_by_frame(path, document),
         depth=_depth(path, document),
     )
 
@@ -130,6 +135,41 @@ def _by_camera(
         if not _is_number(number) or not low <= number <= high:
             raise bad_key(path, f"{key}.{name}", f"is {number!r}, expected a number from {low:g} to {high:g}")
     return {name: float(number) for name, number in value.items()}
+
+
+def _by_frame(path: Path, document: dict[str, Any]) -> dict[int, str] | None:
+    """A calibration for each of some frames, in their order."""
+    value = document.get("calibration_from")
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise bad_key(path, "calibration_from", 'is no table, expected [calibration_from] frame = "file"')
+    for frame, name in value.items():
+        if (
+            not (frame.isascii() and frame.isdecimal() and int(frame) > 0)
+            or not isinstance(name, str)
+            or not name
+        ):
+            what = f'is {name!r}, expected a frame after the first = "calibration file"'
+            raise bad_key(path, f"calibration_from.{frame}", what)
+    return {int(frame): value[frame] for frame in sorted(value, key=int)}
+
+
+def with_tables(text: str, tables: Mapping[str, str]) -> str:
+    """The text of a session.toml with some of its tables in place of those it had; an empty one goes.
+
+    tables : name -> text, header and all. Comments elsewhere stay.
+    """
+    kept, is_kept = [], True
+    for line in text.splitlines(keepends=True):
+        if _HEADER.match(line):
+            is_kept = line.split("]")[0].strip(" \t[") not in tables
+        if is_kept:
+            kept.append(line)
+    for table in filter(None, tables.values()):
+        before = "".join(kept).rstrip()
+        kept = [before + "\n\n" if before else "", table.rstrip() + "\n"]
+    return "".join(kept)
 
 
 def _depth(path: Path, document: dict[str, Any]) -> DepthUnits:

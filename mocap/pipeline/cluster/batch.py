@@ -20,6 +20,7 @@ from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.reach import code_hash
 from mocap.pipeline.record import OUTPUTS
 from mocap.pipeline.run import run_session
+from mocap.pipeline.stretches import run_recording
 
 # The filter of a piece has found its pose, and tracks are confirmed, in less.
 OVERLAP_S = 2.0
@@ -115,7 +116,9 @@ def run_one(parameters: dict[str, Any]) -> dict[str, Any]:
     """The whole run of one session, or one of some of its frames up to the poses."""
     frames = parameters["frames"]
     out = Path(parameters["out"])
-    result = run_session(
+    # A piece is short: the camera that was pushed in it is left out.
+    run = run_recording if parameters["until"] == OUTPUTS else run_session
+    result = run(
         parameters["session"],
         out,
         config=load_config(parameters["preset"], tuple(parameters["settings"])),

@@ -51,8 +51,9 @@ _MIN_CAMERAS = 3
 # For what hangs on a volume and nobody speaks against: legs that furniture hides from the others.
 _HIDDEN_VOTES = 2
 _AROUND_M = 0.9  # how far from a hull the unknown is of interest: the length of a hidden leg
+SWINGS = 5  # frames after a push; found to as many (`python -m eval.camera_faults`)
 _REMEDIES = {
-    "moved": "calibrate it again from that frame on, or leave these frames out",
+    "moved": "calibrate it again, or leave these frames out",
     "lag": "find when its clip began with `mocap sync SESSION`",
     "rate": "find how fast its clock runs with `mocap sync SESSION`",
     "frozen": "leave these frames out with --frames",
@@ -175,6 +176,8 @@ class _Walk:
         """(C,) the cameras that take part in a frame."""
         rig = self.carving.rig
         (used,) = usable_cameras(self.left_out, rig.names, np.array([seen.frame]))
+        if self.carving.session.later_calibrations:
+            used &= ~self.carving.session.is_pushed(seen.frame)
         # With fewer cameras left than a hull needs, a bad one is better than none.
         if used.sum() < min(_MIN_CAMERAS, len(rig)):
             used[:] = True
@@ -272,7 +275,7 @@ def carve_report(job: Job) -> StageReport:
         warnings.append(f"the volume is empty in {empty:.0%} of the frames")
     warnings += _gap_warnings(reader.frames, sizes == 0, job.session.fps)
     faults = stored_faults(job.store)
-    warnings += _fault_warnings(faults, reader)
+    warnings += _fault_warnings(faults, reader, job.session)
     litres = sizes * grid.voxel_size_m**3 * 1000.0
     return StageReport(
         tuple(warnings),
@@ -300,7 +303,7 @@ def _gap_warnings(frames: NDArray[np.int64], is_empty: NDArray[np.bool_], fps: f
     ]
 
 
-def _fault_warnings(faults: Sequence[CameraFault], reader: StageReader) -> list[str]:
+def _fault_warnings(faults: Sequence[CameraFault], reader: StageReader, session: Session) -> list[str]:
     """What is wrong with cameras, and whether they were left out."""
     if not faults:
         return []
@@ -311,8 +314,24 @@ def _fault_warnings(faults: Sequence[CameraFault], reader: StageReader) -> list[
         inside = (reader.frames >= fault.first_frame) & (reader.frames <= fault.last_frame)
         is_out = fault.camera in names and not used[inside, names.index(fault.camera)].any()
         what = "; it is left out of the volume there" if is_out else ""
-        warnings.append(f"{fault.message}{what}. Remedy: {_REMEDIES[fault.kind]}")
+        later = [frame for frame in session.later_calibrations if frame >= fault.first_frame]
+        if fault.kind == "moved" and later:
+            warnings.append(
+                f"{fault.message}; it is left out until another calibration holds, at frame {later[0]}"
+            )
+            continue
+        warnings.append(f"{fault.message}{what}. Remedy: {_remedy(fault)}")
     return warnings
+
+
+def _remedy(fault: CameraFault) -> str:
+    if fault.kind != "moved" or fault.is_from_start or not fault.is_to_end:
+        return _REMEDIES[fault.kind]
+    still = fault.first_frame + SWINGS
+    return (
+        "find where it stands from then on: mocap calibrate --refine SESSION "
+        f"--moved {fault.camera} --from-frame {still} -o SESSION/from_{still}.toml"
+    )
 
 
 CARVE = Stage(
