@@ -15,7 +15,7 @@ from mocap.errors import MocapError
 
 if TYPE_CHECKING:
     from mocap.calibrate import Board, Lens, LensModel, WorldPoints
-    from mocap.volume.rig_refinement import CameraMove
+    from mocap.pipeline.refine import RefinedSession
 
 BoardOption = Annotated[
     str,
@@ -139,9 +139,9 @@ def calibrate(
     """Lenses and places of the cameras from clips of a board that they all film; OUT.html says how good they are.
 
     --refine SESSION corrects the places of a calibration that is off by some degrees and centimetres, from people who
-    walk in the session's clips, and writes a new file; with --moved CAM --from-frame N one camera that was pushed in
-    mid-take, and session.toml says from which frame on the new file holds. --place SESSION finds the places from
-    nothing, by one person who walks; lenses must be known.
+    walk in the session's clips, and writes a new file. With --moved CAM --from-frame N it finds one camera again that
+    was pushed in mid-take, and session.toml says from which frame on the new file holds. --place SESSION finds the
+    places from nothing, by one person who walks; lenses must be known.
     """
     of_board: dict[str, object] = {"BOARD": clips, "--floor-frame": floor_frame, "--points": points}
     of_lenses: dict[str, object] = {"--board": board, "--square-mm": square_mm, "--lenses": lenses}
@@ -230,8 +230,7 @@ def _refine(
             progress=progress,
         )
     found = refined.refinement
-    for name, move in found.moves.items():
-        _echo_move(name, move)
+    _echo_moves(refined)
     if height_m is not None:
         typer.echo(f"Scaled by {refined.factor:.4f} for somebody of {height_m:.2f} m")
     write_refined(out, refined)
@@ -254,8 +253,7 @@ def _refine_moved(
     check_new(out)
     with progress_bar() as progress:
         refined = refine_moved(session, camera, from_frame, n_frames=n_frames or N_FRAMES, progress=progress)
-    for name, move in refined.refinement.moves.items():
-        _echo_move(name, move)
+    _echo_moves(refined)
     settings = write_moved(out, refined, session)
     if picture is not None:
         write_picture(picture, refined, read_calibration(refined.source).rig)
@@ -265,11 +263,13 @@ def _refine_moved(
     )
 
 
-def _echo_move(name: str, move: CameraMove) -> None:
+def _echo_moves(refined: RefinedSession) -> None:
+    """What became of every camera."""
     from mocap.pipeline.refine import words
 
-    apart = f"{1000 * move.apart_before_m:.1f} -> {1000 * move.apart_after_m:.1f} mm"
-    typer.echo(f"{name}: {words(move)}; lines of sight apart {apart}")
+    for name, move in refined.refinement.moves.items():
+        apart = f"{1000 * move.apart_before_m:.1f} -> {1000 * move.apart_after_m:.1f} mm"
+        typer.echo(f"{name}: {words(move)}; lines of sight apart {apart}")
 
 
 def _place(

@@ -139,7 +139,8 @@ def moved_from(session: Session, camera: str, hulls: list[list[Array]], stride: 
         )
     if not _is_moved(move):
         raise MocapError(
-            f"from frame {session.frames.start} on it stands where its calibration says",
+            f"from frame {session.frames.start} on it stands where its calibration says, as far as the people tell: "
+            f"{words(move)}",
             path=session.root,
             camera=camera,
             remedy="keep the calibration",
