@@ -1,4 +1,5 @@
-"""Feet against the truth: how far planted feet move, strikes and offs in frames, heels, toes and hand tips.
+"""Feet against the truth: how far planted feet move, strikes and offs in frames, heels, toes and hand tips; jumps and
+squats.
 
     python -m eval.feet [--only walk,jog] [--seeds 1] [--bodies girdle,whole,whole-free] [--work out/eval]
 
@@ -26,12 +27,13 @@ from mocap.data.motion import ALL_LANDMARKS, FURTHER_LANDMARKS, LANDMARKS
 from mocap.io.tables import FEET_AND_HANDS, FeetAndHands, read_feet_and_hands_csv, read_landmarks_csv
 from mocap.pose.contacts import SOLE_POINTS, contacts_of, slips_m, unbroken_runs
 from mocap.pose.method import ContactSettings
+from mocap.pose.moves import find_moves
 
 Array = NDArray[np.float64]
 
 RESULTS = ROOT / "eval" / "results" / "feet.csv"
 DEV = ROOT.parent / "shared" / "dev_sessions"
-SCENES = ("walk", "jog", "dev:steps", "walk_test", "jog_test")
+SCENES = ("walk", "jog", "squat", "jump", "dev:steps", "walk_test", "jog_test", "squat_test", "jump_test")
 BODIES = {
     "girdle": ("body.model=girdle",),
     "whole": ("body.model=whole",),
@@ -50,6 +52,7 @@ FIELDS = (
         "n_offs",
         "offs_within_1",
     ),
+    *("n_moves", "moves_found", "move_height_mm"),
 )
 _LEGS = ("left_knee", "left_ankle", "right_knee", "right_ankle")
 
@@ -92,7 +95,35 @@ def row_of(name: str, seed: int, body: str, work: Path) -> dict[str, Any]:
         _, i, j = np.intersect1d(motions[0].frames, truth.frames, return_indices=True)
         fps = 1.0 / float(np.median(np.diff(motions[0].time_s)))
         row |= foot_scores(motions[0].landmarks[i], truth, j, fps)
+        (of_truth,) = read_landmarks_csv(session / "truth" / "landmarks.csv")
+        row |= move_scores(motions[0].landmarks[i], of_truth.landmarks[j], truth, j, fps)
     return row
+
+
+def move_scores(
+    landmarks: Array, true: Array, truth: FeetAndHands, rows: NDArray[np.int64], fps: float
+) -> dict[str, Any]:
+    """Jumps and squats of landmarks (T, 21, 3) m against those of the truth (T, 15, 3) m: how many of them were found
+    where their extremes are within three frames, and how far their heights are off; nothing where the truth has none.
+    """
+    columns, pelvis = (
+        [FURTHER_LANDMARKS.index(ALL_LANDMARKS[k]) for k in SOLE_POINTS],
+        LANDMARKS.index("pelvis"),
+    )
+    sole = landmarks[:, list(SOLE_POINTS)]
+    rests = contacts_of(sole, np.zeros(sole.shape[:2]), fps, ContactSettings()).probability > 0.5
+    knee = np.zeros(len(rows))
+    own = find_moves(landmarks[:, pelvis, 2], rests, knee, fps)
+    wanted = find_moves(true[:, pelvis, 2], truth.in_contact[rows][:, columns], knee, fps)
+    pairs = [(a, b) for a in wanted for b in own if a.kind == b.kind and abs(a.extreme - b.extreme) <= 3]
+    if not wanted and not own:
+        return {}
+    off = [abs(a.height_m - b.height_m) for a, b in pairs]
+    return {
+        "n_moves": len(wanted),
+        "moves_found": f"{len(pairs)} of {len(own)}",
+        "move_height_mm": round(1000 * float(np.mean(off)), 1) if off else "",
+    }
 
 
 def foot_scores(landmarks: Array, truth: FeetAndHands, rows: NDArray[np.int64], fps: float) -> dict[str, Any]:

@@ -20,7 +20,16 @@ from mocap.io._files import writing
 from mocap.pipeline.doctor import examine
 from mocap.pipeline.publish import RUN_FILE
 
-_TABLES = ("landmarks.csv", "angles.csv", "steps.csv", "cycles.csv", "tracks.csv", "scores.json", "pose.npz")
+_TABLES = (
+    "landmarks.csv",
+    "angles.csv",
+    "steps.csv",
+    "cycles.csv",
+    "moves.csv",
+    "tracks.csv",
+    "scores.json",
+    "pose.npz",
+)
 _BODIES = "body*.toml"
 # Of the store only what says how it was made: keys, settings, sizes.
 _DESCRIPTIONS = ("zarr.json", "files.json")

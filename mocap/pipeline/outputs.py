@@ -38,6 +38,7 @@ from mocap.pipeline.tracking import every_frame
 from mocap.pose.angles import angles_of
 from mocap.pose.cycles import PERCENT, cycles_of
 from mocap.pose.method import AngleSettings, ContactSettings
+from mocap.pose.moves import moves_of
 from mocap.pose.opensim import opensim_bodies, opensim_coordinates
 from mocap.pose.result import PersonPoses
 from mocap.pose.steps import Gait, gait_of
@@ -60,6 +61,10 @@ CYCLE_COLUMNS = (
         "std_deg",
         "measured_std_deg",
     ),
+)
+MOVE_COLUMNS = (
+    *("person", "move", "begin_frame", "extreme_frame", "end_frame", "height_m"),
+    *("flight_s", "flight_height_m", "knee_flexion_deg"),
 )
 
 
@@ -90,6 +95,7 @@ def write_tables(found: Found, config: Config, folder: Path, *, has_poses: bool)
     write_angles_csv(folder / "angles.csv", angles)
     write_steps_csv(folder / "steps.csv", gaits, found)
     write_cycles_csv(folder / "cycles.csv", gaits, angles)
+    write_moves_csv(folder / "moves.csv", gaits, found)
     write_pose_npz(folder / "pose.npz", found.poses)
     for name, text in body_files(found.store, found.poses).items():
         atomic_text(folder / name, text)
@@ -137,6 +143,20 @@ def write_cycles_csv(path: Path, gaits: Sequence[Gait], angles: Sequence[AngleSe
                 for percent, numbers in zip(PERCENT, columns, strict=True):
                     cells = ["" if np.isnan(v) else f"{v:.2f}" for v in numbers]
                     lines.append(",".join([begin, f"{percent:.0f}", *cells]))
+    atomic_text(path, "\n".join(lines) + "\n")
+
+
+def write_moves_csv(path: Path, gaits: Sequence[Gait], found: Found) -> None:
+    """One row per jump and squat, by person and time; what a move does not have is empty."""
+    lines = [",".join(MOVE_COLUMNS)]
+    for gait, poses in zip(gaits, found.poses, strict=True):
+        for move in moves_of(poses, gait, found.session.fps):
+            first = int(poses.frames[0])
+            frames = [str(row + first) for row in (move.begin, move.extreme, move.end)]
+            knee = None if move.knee_flexion_rad is None else np.rad2deg(move.knee_flexion_rad)
+            numbers = (move.height_m, move.flight_s, move.flight_height_m, knee)
+            cells = ["" if v is None else f"{v:.4f}" for v in numbers]
+            lines.append(",".join([str(gait.person), move.kind, *frames, *cells]))
     atomic_text(path, "\n".join(lines) + "\n")
 
 

@@ -25,6 +25,7 @@ OUTPUT_WORDS = {
     "angles.csv": "anatomical angles per person and frame, with standard deviations, degrees",
     "steps.csv": "foot contacts and steps of every person",
     "cycles.csv": "angles over the gait cycle, means and deviations, degrees",
+    "moves.csv": "jumps and squats: when, how high and how deep",
     "pose.npz": "joint angles, root, landmark covariances",
     "body.toml": "the person's body as sized: --set body.model=FILE uses it again",
     "scene.rrd": "cameras, images, voxels and bodies on a time line, for the Rerun viewer",
@@ -144,6 +145,20 @@ def _motion_words(record: RunRecord) -> list[tuple[str, str]]:
             for p, n in walked.items()
         )
         rows.append(("Steps", ", ".join(words)))
+    jumped = {p: n for p, n in persons.items() if n.get("jumps")}
+    if jumped:
+        words = (
+            f"person {p}: {n['jumps']:.0f}, the highest {n['highest_jump_m']:.2f} m"
+            for p, n in jumped.items()
+        )
+        rows.append(("Jumps", ", ".join(words)))
+    squatted = {p: n for p, n in persons.items() if n.get("squats")}
+    if squatted:
+        words = (
+            f"person {p}: {n['squats']:.0f}, the deepest {n['deepest_squat_m']:.2f} m"
+            for p, n in squatted.items()
+        )
+        rows.append(("Squats", ", ".join(words)))
     return rows
 
 

@@ -56,7 +56,7 @@ class JogMotion(_PathMotion):
 class PlaceMotion(Section):
     """A motion on the spot."""
 
-    kind: Literal["stand", "squat", "gesture", "box", "pick_up", "dance"]
+    kind: Literal["stand", "squat", "jump", "gesture", "box", "pick_up", "dance"]
     position_m: tuple[float, float] = (0.0, 0.0)
     heading_deg: float = 0.0
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path as FilePath
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.initial import HeightEstimate
 from mocap.data.motion import ALL_LANDMARKS, FURTHER_LANDMARKS
 from mocap.io.formats import write_c3d
-from mocap.pipeline.outputs import foot_events
+from mocap.pipeline.outputs import MOVE_COLUMNS, foot_events, write_moves_csv
 from mocap.pose.contacts import SOLE_POINTS, contacts_of, held, lowest_level, slips_m, unbroken_runs
 from mocap.pose.deviation import FrameSeries
 from mocap.pose.method import ContactSettings, Method
@@ -242,6 +243,28 @@ def standing_series(n: int, sway_m: float) -> FrameSeries:
     states[:, 0] += sway_m * np.sin(2 * np.pi * np.arange(n) / 24.0)
     series = FrameSeries.of_length(n, body)
     return replace(series, states=states, misfit=np.ones_like(series.misfit))
+
+
+def test_jumps_and_squats_are_a_table(tmp_path: FilePath) -> None:
+    rng = np.random.default_rng(3)
+    figure = make_figure(1.75, "male", 1.0, rng=rng)
+    pose = MOTIONS["jump"](figure, 90, FPS, rng=rng, position=(0.0, 0.0), heading_rad=0.0)
+    where = forward_kinematics(figure.offsets, pose.rotations, pose.root_position)
+    poses = poses_of(
+        np.concatenate([figure_landmarks(figure, *where), feet_and_hands_of(figure, *where)], axis=1)
+    )
+    found = SimpleNamespace(poses=(poses,), session=SimpleNamespace(fps=FPS))
+    path = tmp_path / "moves.csv"
+    write_moves_csv(path, [gait_of(poses, FPS, SETTINGS)], found)
+    head, row = path.read_text().splitlines()
+    move = dict(zip(head.split(","), row.split(","), strict=True))
+    assert tuple(move) == MOVE_COLUMNS
+    assert (move["person"], move["move"], move["knee_flexion_deg"]) == ("1", "jump", "")
+    pelvis = poses.landmarks[:, 0, 2]
+    assert int(move["extreme_frame"]) == int(poses.frames[0]) + pelvis.argmax()
+    assert float(move["height_m"]) == pytest.approx(pelvis.max() - pelvis[0], abs=0.005)
+    write_moves_csv(path, [replace(gait_of(poses, FPS, SETTINGS), contacts=None)], found)
+    assert path.read_text() == ",".join(MOVE_COLUMNS) + "\n"
 
 
 def test_the_smoother_holds_a_planted_foot_and_lets_the_trunk_sway() -> None:

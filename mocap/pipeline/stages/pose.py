@@ -27,6 +27,7 @@ from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
 from mocap.pose.deviation import widened
 from mocap.pose.evidence import PersonTools
 from mocap.pose.marker_person import flesh_centroids
+from mocap.pose.moves import move_numbers, moves_of
 from mocap.pose.person import VolumeClip, finish_person, follow_frames
 from mocap.pose.result import FollowedPerson, PersonPoses, motion_numbers
 from mocap.pose.steps import gait_numbers, gait_of, warnings_of_gait
@@ -290,7 +291,7 @@ def poses_report(job: Job) -> StageReport:
             "last_frame": int(p.frames[-1]),
             "start_frame": p.start_frame,
             **motion_numbers(p, fps),
-            **_rounded(gait_numbers(gaits[p.person])),
+            **_rounded({**gait_numbers(gaits[p.person]), **move_numbers(moves_of(p, gaits[p.person], fps))}),
         }
         for p in poses
     }

@@ -14,6 +14,7 @@ from mocap.synth.motions.dance import dance
 from mocap.synth.motions.fall import fall
 from mocap.synth.motions.gesture import gesture
 from mocap.synth.motions.jog import jog
+from mocap.synth.motions.jump import jump
 from mocap.synth.motions.kit import Path, Pose
 from mocap.synth.motions.pick_up import pick_up
 from mocap.synth.motions.route import Stop, route
@@ -27,6 +28,7 @@ MOTIONS: dict[str, Callable[..., Pose]] = {
     "walk": walk,
     "stand": stand,
     "squat": squat,
+    "jump": jump,
     "gesture": gesture,
     "box": box,
     "pick_up": pick_up,

@@ -18,6 +18,7 @@ _HINGE_FROM, _HINGE_TO = (
     np.sin(np.deg2rad(8.0)),
     np.sin(np.deg2rad(25.0)),
 )  # a limb bent by this knows its hinge
+_TOE_OUT_RAD = np.deg2rad(9.0)  # of feet on which somebody rises
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,6 +224,24 @@ def solve_legs(
         rotations[:, JOINT[f"{side}_knee"]] = relative(thigh, shank)
         rotations[:, JOINT[f"{side}_ankle"]] = relative(shank, foot)
         rotations[:, JOINT[f"{side}_toe"]] = rotation_about(1, toe)
+
+
+def on_toes(
+    figure: Figure, position: tuple[float, float], heading_rad: float, width_m: float, pitch: Array
+) -> tuple[list[Array], list[Array]]:
+    """Ankles (T, 3) m and feet (T, 3, 3), world, of both sides beside a place on the floor; feet that are pitched by
+    (T,) rad turn about the joints of the toes, which stay flat."""
+    base = np.array([*position, figure.ankle_height_m])
+    left = np.array([-np.sin(heading_rad), np.cos(heading_rad), 0.0])
+    ball = figure.offsets[JOINT["left_toe"]]
+    tilt = rotation_about(1, pitch)
+    rolled = ball - tilt @ ball  # the ankle about the joint of the toes
+    ankles, feet = [], []
+    for _, sign in SIDES:
+        turn = rotation_about(2, heading_rad + sign * _TOE_OUT_RAD)
+        ankles.append(base + 0.5 * sign * width_m * left + rolled @ turn.T)
+        feet.append(turn @ tilt)
+    return ankles, feet
 
 
 def highest_pelvis(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocap.synth.figure import JOINT, SIDES, Figure, rotation_about
-from mocap.synth.motions.kit import Array, Pose, Stance, follow, hang_arm, solve_legs, standing
+from mocap.synth.figure import SIDES, Figure
+from mocap.synth.motions.kit import Array, Pose, Stance, follow, hang_arm, on_toes, solve_legs, standing
 
 _PERIOD_S = 3.6  # of a squat and a rise together
 _DEPTH = 0.30  # of the leg's length, by which the pelvis sinks
 _BACK = 0.10  # of the leg's length, by which it goes back
 _RISE_RAD = np.deg2rad(32.0)  # pitch of the feet on tiptoe
-_TOE_OUT_RAD = np.deg2rad(9.0)
 
 
 def squat(
@@ -40,18 +39,9 @@ def squat(
         bend=0.45 * down,
     )
     rotations, root = standing(figure, n_frames, fps, position, heading_rad, rng, stance)
-    base = np.array([*position, figure.ankle_height_m])
-    left = np.array([-np.sin(heading_rad), np.cos(heading_rad), 0.0])
-    ball = figure.offsets[JOINT["left_toe"]]
-    tilt = rotation_about(1, pitch)
-    rolled = ball - tilt @ ball  # the ankle about the joint of the toes
-    ankles, feet = [], []
-    for _, sign in SIDES:
-        turn = rotation_about(2, heading_rad + sign * _TOE_OUT_RAD)
-        ankles.append(base + 0.5 * sign * width * left + rolled @ turn.T)
-        feet.append(turn @ tilt)
+    ankles, feet = on_toes(figure, position, heading_rad, width, pitch)
     # The pelvis goes with the ankles, up and forward.
-    root += 0.5 * (ankles[0] + ankles[1]) - base
+    root += 0.5 * (ankles[0] + ankles[1]) - [*position, figure.ankle_height_m]
     solve_legs(figure, rotations, root, ankles, feet, [-pitch, -pitch])
     for side, sign in SIDES:
         hang_arm(rotations, side, sign, 0.05 + 1.1 * down, 0.16, 0.2, 0.25 + 0.1 * down)
