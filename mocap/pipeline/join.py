@@ -163,6 +163,16 @@ def piece_frames(frames: range, n_pieces: int, n_shared: int) -> list[range]:
     return [range(start, min(start + length, frames.stop)) for start in starts]
 
 
+def check_joinable(kind: str, path: Path) -> None:
+    """Raises MocapError for what cannot be joined.  kind : what poses are found from.  path : session or run."""
+    if kind not in WITH_VOLUMES:
+        raise MocapError(
+            f"only runs on volumes can be joined, and this one is on {kind}",
+            path=path,
+            remedy="run the recording as a whole; without volumes that takes little time",
+        )
+
+
 def _opened(path: Path, session: Path, calibration: Path | None) -> Piece:
     """The run of a piece, made from this very session with this version. Raises MocapError for any other."""
     record = read_record(path)
@@ -170,12 +180,7 @@ def _opened(path: Path, session: Path, calibration: Path | None) -> Piece:
         raise MocapError(
             "the run is joined itself", path=path, remedy="join its pieces and the others at once"
         )
-    if record.kind not in WITH_VOLUMES:
-        raise MocapError(
-            f"only runs on volumes can be joined, and this one is on {record.kind}",
-            path=path,
-            remedy="run the recording as a whole; without volumes that takes little time",
-        )
+    check_joinable(record.kind, path)
     stages = stages_until(record.kind, "pose")
     check_one_run(path, *(product for stage in stages for product in stage.products))
     opened = open_session(session, calibration=calibration, frames=(record.frames.start, record.frames.stop))

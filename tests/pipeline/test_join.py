@@ -166,6 +166,34 @@ def test_the_command_and_what_it_refuses(base: Path, tmp_path: Path) -> None:
     assert (out / "landmarks.csv").read_bytes() == (joined_run(base).out / "landmarks.csv").read_bytes()
 
 
+@pytest.mark.slow
+def test_workers_of_their_own_join_to_the_same_bytes(base: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="needs the extra cluster")
+    rows = []
+    for n_workers in (0, 2):
+        out = tmp_path / str(n_workers)
+        words = ("--workers", n_workers, "--pieces", 2, "--overlap", 0.6)
+        said = mocap("batch", walkers(base), "-o", out, *words, *set_options(SETTINGS))
+        assert said.code == 0, said.err
+        (run,) = out.glob("runs/*")
+        rows.append([(run / name).read_bytes() for name in ("landmarks.csv", "tracks.csv", "angles.csv")])
+    assert rows[0] == rows[1]
+
+
+def test_pieces_without_volumes_are_refused_before_they_are_run(base: Path, tmp_path: Path) -> None:
+    session = copy_session(walkers(base), tmp_path / "session")
+    names = [path.name for path in (session / "masks").iterdir()]
+    shutil.rmtree(session / "masks")
+    (session / "detections").mkdir()
+    lines = ["frame,u_px,v_px", *(f"{f},10.0,10.0" for f in range(N_FRAMES))]
+    for name in names:
+        (session / "detections" / f"{Path(name).stem}.csv").write_text("\n".join(lines) + "\n")
+    said = mocap("batch", session, "-o", tmp_path / "out", "--workers", 0, "--pieces", 2)
+    assert said.code == 1
+    assert "only runs on volumes can be joined, and this one is on markers" in said.out + said.err
+    assert not (tmp_path / "out" / "pieces").exists()
+
+
 def test_a_batch_cuts_and_joins(base: Path, tmp_path: Path) -> None:
     command = ("batch", walkers(base), "-o", tmp_path, "--workers", 0, "--pieces", 2, "--overlap", 0.6)
     command += tuple(set_options(SETTINGS))

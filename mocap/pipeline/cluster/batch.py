@@ -15,7 +15,7 @@ from mocap.pipeline.cluster.spec import session_names
 from mocap.pipeline.cluster.sweep import SweepResult, summary_of, truth_hash
 from mocap.pipeline.cluster.tables import Row, write_tables
 from mocap.pipeline.config import config_hash, load_config, presets
-from mocap.pipeline.join import join_runs, piece_frames
+from mocap.pipeline.join import check_joinable, join_runs, piece_frames
 from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.reach import code_hash
 from mocap.pipeline.record import OUTPUTS
@@ -154,6 +154,8 @@ def _plan(
         try:
             session = open_session(path, frames=frames)
             kind = observation_kind(session, config)
+            if pieces.n > 1:
+                check_joinable(kind, path)
             key = stage_keys(session, config, common["seed"], kind)["pose"]
             whole = {**common, "session": str(path), "out": str(out.resolve() / "runs" / name)}
             chain = (
