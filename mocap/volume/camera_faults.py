@@ -8,7 +8,7 @@ What the stretches of other states mean is then decided with the pictures, if th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
@@ -29,7 +29,7 @@ from mocap.volume.consistency import (
 )
 from mocap.volume.rig_agreement import MaskSample, Misfit, rig_agreement
 from mocap.volume.rig_doubts import doubt_rig
-from mocap.volume.synchrony import SynchronySettings, synchronise
+from mocap.volume.synchrony import ClockEstimate, SynchronySettings, synchronise
 
 Array = NDArray[np.float64]
 Kind = Literal[
@@ -210,12 +210,14 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
 def find_faults(monitor: ConsistencyMonitor, guessed: Sequence[str] = ()) -> tuple[CameraFault, ...]:
     """What `find_camera_faults`, `find_misfits` and `find_exchanged` say of a recording, by first frame.
 
-    A camera that never fits is judged by its outlines, which tell how far it is off.  guessed : cameras whose outlines
-    are guesses: neither they nor others are judged by them.
+    A camera that never fits is judged by its outlines, which tell how far it is off; so is one that seems to lag where
+    its clock says that it does not.  guessed : cameras whose outlines are guesses: neither they nor others are judged
+    by them.
     """
     evidence = monitor.evidence()
     faults = find_camera_faults(evidence)
-    misfits = find_misfits(monitor.rig, monitor.mask_samples(), faults, monitor.occluders, guessed)
+    known = [fault for fault in faults if not _is_refuted(fault, monitor)]
+    misfits = find_misfits(monitor.rig, monitor.mask_samples(), known, monitor.occluders, guessed)
     # Two that film each other's place look like two that are turned.
     if len(misfits) == 2 or any(fault.kind == "rig" for fault in misfits) or _has_no_volume(evidence):
         misfits = find_exchanged(monitor.rig, evidence, monitor.outlines()) or misfits
@@ -238,11 +240,26 @@ def find_late(monitor: ConsistencyMonitor, faults: Sequence[CameraFault]) -> tup
         return ()
     first, *_, last = monitor.evidence().frames.tolist()
     late = []
-    for name, clock in synchronise(monitor.rig, monitor.silhouettes(), _CLOCKS).clocks.items():
+    for name, clock in _clocks(monitor).items():
         lag = -clock.offset_s / FRAME_S
-        if name in blamed and clock.is_off and abs(lag) > _LATE_FRAMES:
+        if name in blamed and clock.is_off and _LATE_FRAMES < abs(lag) <= MAX_LAG_FRAMES:
             late.append(CameraFault(name, "lag", first, last, True, True, lag_frames=round(lag)))
     return tuple(late) if 2 * len(late) < len(monitor.rig) else ()
+
+
+def _clocks(monitor: ConsistencyMonitor) -> Mapping[str, ClockEstimate]:
+    return synchronise(monitor.rig, monitor.silhouettes(), _CLOCKS).clocks
+
+
+def _is_refuted(fault: CameraFault, monitor: ConsistencyMonitor) -> bool:
+    """Whether a camera seems to lag all the time, and its clock says for certain that it does not: a camera that stands
+    elsewhere than its calibration says sees people where they were before."""
+    if fault.kind != "lag" or not (fault.is_from_start and fault.is_to_end):
+        return False
+    clock, lag_s = _clocks(monitor)[fault.camera], FRAME_S * fault.lag_frames
+    is_nearer_to_none = abs(clock.offset_s) < 0.5 * abs(lag_s)
+    far_s = abs(lag_s + clock.offset_s)
+    return clock.is_certain and is_nearer_to_none and far_s > _CLOCKS.certain * clock.offset_std_s
 
 
 def find_misfits(

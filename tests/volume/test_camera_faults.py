@@ -196,6 +196,21 @@ def test_where_every_second_camera_is_late_nobody_knows_which() -> None:
     assert find_late(monitor, everybody) == ()
 
 
+def test_a_turned_camera_that_seems_to_lag_is_told_by_its_clock() -> None:
+    cameras = list(RIG)
+    for c, angle in ((1, -1.2), (4, 1.2)):
+        turn = Rotation.from_rotvec([0.0, np.radians(angle), 0.0]).as_matrix()
+        cameras[c] = replace(RIG[c], R=turn.T @ RIG[c].R, t=-turn.T @ RIG[c].R @ RIG[c].center)
+    monitor = ConsistencyMonitor(CameraRig(tuple(cameras)), GRID)
+    for f in range(40):
+        monitor.add(f, [camera[f] for camera in walk()])
+    (seeming,) = find_camera_faults(monitor.evidence())
+    assert (seeming.camera, seeming.kind, seeming.is_from_start) == ("cam_4", "lag", True)
+    found = find_faults(monitor)
+    assert [(f.camera, f.kind) for f in found] == [("cam_1", "calibration"), ("cam_4", "calibration")]
+    assert [f.turn_deg for f in found] == pytest.approx([1.2, 1.2], abs=0.2)
+
+
 def still_picture(*, mask_change: float, n_cells: int) -> SilhouetteEvidence:
     """Five cameras, 40 frames; the picture of camera 2 hardly changes from frame 20 on."""
     n, n_cameras = 40, 5
