@@ -76,6 +76,18 @@ def astray_variance(series: FrameSeries, settings: DeviationSettings) -> Array:
     return np.asarray((settings.astray_m * excess) ** 2 + series.blind_std**2)
 
 
+def fallen_nats(log_likelihood: Array, usual_nats: float) -> Array:
+    """By how much the likelihood of a frame lies below the person's median, beyond what is usual, (T,) nats >= 0.
+
+    log_likelihood : (T,), NaN = nothing was seen, which says nothing here.
+    """
+    known = np.isfinite(log_likelihood)
+    if not known.any():
+        return np.zeros(len(log_likelihood))
+    usual = float(np.median(log_likelihood[known])) - usual_nats
+    return np.asarray(np.maximum(usual - np.where(known, log_likelihood, usual), 0.0))
+
+
 def limb_misfit(layout: StateLayout, misfit: Array, most_nats: float) -> Array:
     """The misfit of every part's limb, (..., P) -> (..., P): the largest of its parts', for the root part its own.
 
@@ -98,13 +110,14 @@ def landmark_covariances(body: Body, series: FrameSeries, settings: DeviationSet
     """Covariance of every landmark, (T, M, 3, 3) m^2: that of the fit of its frame, and what the fit does not know.
 
     That are the body's own errors, the chance that a limb which fits badly is lost (`DeviationSettings.of_landmark`), a
-    hull that the body does not explain, a pose that was carried on and a landmark that could not be seen.
+    hull that the body does not explain, a frame that is explained much worse than the person's others, a pose that was
+    carried on and a landmark that could not be seen.
     """
     floor, per_nat = np.array([settings.of_landmark[landmark_kind(name)] for name in body.landmarks]).T
     misfit = landmark_misfit(body, series, settings.most_misfit_nats)
-    own = (
-        floor**2 + (per_nat * misfit) ** 2 + astray_variance(series, settings)[:, None] + series.hidden_std**2
-    )
+    fallen = settings.per_fallen_nat * fallen_nats(series.log_likelihood, settings.usual_fall_nats)
+    of_frame = astray_variance(series, settings) + fallen**2
+    own = floor**2 + (per_nat * misfit) ** 2 + of_frame[:, None] + series.hidden_std**2
     return np.asarray(own[:, :, None, None] * np.eye(3) + series.fit_covariance)
 
 

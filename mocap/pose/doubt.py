@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import landmark_names
+from mocap.pose.deviation import fallen_nats
 from mocap.pose.method import DoubtSettings
 from mocap.pose.result import PersonPoses
 
@@ -105,7 +106,7 @@ def _reasons(poses: PersonPoses, fps: float, numbers: DoubtSettings) -> list[_Re
         _Reason(unseen.mean(axis=1) / numbers.unseen_share, names, unseen, "not observed"),
         _Reason(jump.max(axis=1), names, jump, "jumps"),
         _Reason(
-            _fallen(poses, numbers),
+            fallen_nats(poses.log_likelihood, numbers.usual_nats) / numbers.fallen_nats,
             (),
             np.zeros((len(poses.frames), 0)),
             "the pose explains what was seen badly",
@@ -123,13 +124,3 @@ def _jumps_m(poses: PersonPoses, fps: float, numbers: DoubtSettings) -> Array:
     out[1:] = moved
     out[:-1] = np.maximum(out[:-1], moved)
     return out
-
-
-def _fallen(poses: PersonPoses, numbers: DoubtSettings) -> Array:
-    """By how much the likelihood of a frame lies below the person's usual one, in limits, (T,)."""
-    known = np.isfinite(poses.log_likelihood)
-    if not known.any():
-        return np.zeros(len(poses.frames))
-    usual = float(np.median(poses.log_likelihood[known]))
-    below = np.where(known, usual - poses.log_likelihood, 0.0)
-    return np.asarray(np.maximum(below - numbers.usual_nats, 0.0) / numbers.fallen_nats)

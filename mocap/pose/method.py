@@ -434,6 +434,12 @@ class DeviationSettings(_Strict):
     reached 0.23 on development scenes; a hull with two persons in it has 0.5, one of three cameras 0.7."""
     astray_m: float = 0.4
     """By how much the limbs may be off there, per share beyond the usual."""
+    usual_fall_nats: float = 3.0
+    """How far the likelihood of a frame may lie below the median of the person's."""
+    per_fallen_nat: float = 0.004
+    """By how much the landmarks may be off there, m per nat: a body with a stiff trunk explains somebody who bends his
+    back worse by 20 nats, and all of it is off. Where likelihoods had fallen by 6 nats and more regions of `dev:reach`
+    held 73 %, and with this 97; those of four other development sessions held 97 to 100, and hold as much."""
     per_rig_offset: float = 2.0
     """By how much any landmark may be off, per metre by which lines of sight miss each other where cameras disagree."""
 

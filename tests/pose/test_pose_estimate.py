@@ -141,6 +141,21 @@ def test_a_hull_that_holds_more_than_the_body_makes_unsure() -> None:
     assert np.sqrt(variance[3] - variance[0]).min() > np.sqrt(variance[2] - variance[0]).max()
 
 
+def test_a_frame_that_is_explained_much_worse_than_the_others_makes_unsure() -> None:
+    """Twenty nats: a body whose trunk is rigid, and somebody who bends his back."""
+    states = marching(BODY, 8, FPS)
+    numbers = DeviationSettings()
+    fallen = np.array([0.0, 1.0, -2.0, numbers.usual_fall_nats, 20.0, -1.0, 0.0, np.nan])
+    of_equal, of_fallen = (
+        landmark_covariances(BODY, replace(series_of(states), log_likelihood=-15.0 - nats), numbers)
+        for nats in (np.zeros(8), fallen)
+    )
+    variance = np.einsum("tlcc->tl", of_fallen - of_equal) / 3
+    np.testing.assert_array_equal(variance[[0, 1, 2, 3, 5, 6, 7]], 0.0)
+    beyond = 20.0 - numbers.usual_fall_nats
+    np.testing.assert_allclose(variance[4], (numbers.per_fallen_nat * beyond) ** 2)
+
+
 @pytest.mark.parametrize("refine", [True, False])
 def test_without_refinement_the_particles_spread_counts(refine: bool) -> None:
     pose_settings = PoseConfig(n_layers=3, n_particles=80, refine=refine)
