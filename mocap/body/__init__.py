@@ -3,7 +3,14 @@
 from mocap.body.files import body_toml, model_of
 from mocap.body.flesh import LookUpTable, build_look_up_table
 from mocap.body.hierarchy import hierarchy_presets, limb_presets, load_hierarchy, load_limbs
-from mocap.body.initial import HeightEstimate, candidate_states, head_top, height_from_tops, is_upright
+from mocap.body.initial import (
+    HeightEstimate,
+    candidate_states,
+    head_top,
+    height_from_tops,
+    is_upright,
+    lowest_of,
+)
 from mocap.body.kinematics import (
     cones_of,
     joint_transforms,
@@ -35,6 +42,7 @@ __all__ = [
     "load_body_model",
     "load_hierarchy",
     "load_limbs",
+    "lowest_of",
     "model_of",
     "neutral_state",
     "scale_body",

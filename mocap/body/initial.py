@@ -116,13 +116,19 @@ def head_top(centers: Array, voxel_size_m: float) -> float:
     return top + 0.5 * voxel_size_m
 
 
+def lowest_of(centers: Array) -> float:
+    """Height of the lowest place of one person's hull, m.  centers : (N, 3) m, voxel centres; a few stray ones do not
+    count."""
+    return float(np.quantile(centers[:, 2], 0.002))
+
+
 def is_upright(centers: Array, voxel_size_m: float, top_m: float | None = None) -> bool:
     """Whether one person's hull is as slender as somebody who stands, of whatever size, and reaches the floor.
 
     centers : (N, 3) m, voxel centres.  top_m : of `head_top`, None = found here.
     """
     top = head_top(centers, voxel_size_m) if top_m is None else top_m
-    if not top > 0 or float(np.quantile(centers[:, 2], 0.002)) > _FEET_M:
+    if not top > 0 or lowest_of(centers) > _FEET_M:
         return False
     return len(centers) * voxel_size_m**3 < _SLENDER * top**3
 

@@ -193,6 +193,21 @@ def test_the_height_is_read_from_the_hulls() -> None:
     assert height.height_m == pytest.approx(1.74 + VOXEL_M, abs=0.03)
 
 
+@pytest.mark.parametrize(("n_in_the_air", "read_m"), [(8, 1.74), (45, 1.98)])
+def test_who_jumps_is_no_taller_and_hidden_feet_leave_a_height(n_in_the_air: int, read_m: float) -> None:
+    """Of 45 frames some have no feet on the floor: in a jump they do not count; where all are so, feet are hidden."""
+    flesh = make_flesh("anthropometric", 1.74, VOXEL_M)
+    state = neutral_state(flesh.body)
+    standing = flesh.hull(state)
+    state[flesh.body.layout.names.index("root_z")] += 0.24
+    lifted = flesh.hull(state)
+    height = estimate_height(
+        flesh.grid, lambda frame: lifted if frame % 45 < n_in_the_air else standing, range(45)
+    )
+    assert height.is_measured
+    assert height.height_m == pytest.approx(read_m, abs=0.03)
+
+
 def test_landmarks_that_are_seldom_in_the_volume_are_named() -> None:
     observed = np.ones((9, len(LANDMARKS)), dtype=np.bool_)
     observed[:, 4] = [1, 1, 1, 1, 0, 0, 0, 0, 0]  # in four of the nine frames, two of which had no volume
