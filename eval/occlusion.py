@@ -24,20 +24,25 @@ from numpy.typing import NDArray
 from eval.whole import write_csv
 from mocap.compare.match import matched_pairs
 from mocap.data import LANDMARKS
+from mocap.io.session import open_session
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv
 from mocap.metrics import coverage_scores
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
 from mocap.products.hulls import read_hulls
+from mocap.products.occluders import stored_occluders
+from mocap.synth.markers import Sight
 
 RESULTS = Path(__file__).with_name("results")
 DEVELOPMENT = (
     "furnished", "furnished_low", "furnished_pair",
     "furnished_four", "furnished_close", "furnished_place", "furnished_hidden",
+    "furnished_few", "furnished_few_other",
 )  # fmt: skip
 TEST = ("furnished_test", "furnished_pair_test", "furnished_few_test")
 LEGS = ("left_knee", "right_knee", "left_ankle", "right_ankle")
+SEEN = (Sight.VISIBLE, Sight.OWN_BODY)
 FIELDS = ("mean_error_mm", "mean_error_after_offset_mm", "mmta_percent", "coverage_90_percent")
 Row = dict[str, str | float | int | None]
 
@@ -55,12 +60,15 @@ def evaluate(session: Path, work: Path, how: str, seed: int, furniture: str = ""
     scores = record["scores"]
     share = record["numbers"].get("occluders", {}).get("picture_share", {})
     n_hidden, n_claimed, held = hidden_landmarks(session, out)
+    known, wrong = map_scores(session, out)
     return {
         "session": session.name,
         "furniture": furniture,
         "occluders": how,
         "seed": seed,
         "largest_picture_share": max(share.values(), default=0.0),
+        "hidden_known_percent": known,
+        "seen_called_hidden_percent": wrong,
         "legs_in_hull_percent": round(100.0 * legs_in_hull(session, out), 1),
         "hull_iou": None if scores["volume_iou"] is None else round(scores["volume_iou"], 3),
         **{name: round(scores[name], 1) for name in FIELDS},
@@ -80,10 +88,7 @@ def hidden_landmarks(session: Path, out: Path) -> tuple[int | None, int | None, 
     files = sorted((session / "truth" / "views").glob("*.npz"))
     if not files:
         return None, None, None
-    from mocap.synth.markers import Sight
-
-    seen = (Sight.VISIBLE, Sight.OWN_BODY)
-    n_seeing = np.sum([np.isin(np.load(file)["landmark_state"], seen) for file in files], axis=0)
+    n_seeing = np.sum([np.isin(np.load(file)["landmark_state"], SEEN) for file in files], axis=0)
     persons = np.load(files[0])["persons"].tolist()
     found = read_landmarks_csv(out / "landmarks.csv")
     n_hidden, n_claimed = 0, 0
@@ -96,6 +101,27 @@ def hidden_landmarks(session: Path, out: Path) -> tuple[int | None, int | None, 
     estimate, truth, std = (np.concatenate(column) for column in zip(*regions, strict=True))
     held = coverage_scores(estimate, truth, std)
     return n_hidden, n_claimed, None if held.coverage_percent is None else round(held.coverage_percent, 1)
+
+
+def map_scores(session: Path, out: Path) -> tuple[float | None, float | None]:
+    """How well the maps tell who is hidden, percent over cameras and frames: how many of the true landmarks that
+    furniture hides from a camera lie behind its map, and how many of those that it sees, or that the own body covers.
+    None where there are none, or where the truth does not say who sees what.
+    """
+    files = sorted((session / "truth" / "views").glob("*.npz"))
+    rig = open_session(session).rig
+    maps = stored_occluders(StageStore(out / "store.zarr"), rig)
+    true = read_landmarks_csv(session / "truth" / "landmarks.csv")
+    n = np.zeros((2, 2))
+    for file in files:
+        view = np.load(file)
+        for person in true:
+            state = view["landmark_state"][person.frames, view["persons"].tolist().index(person.person)]
+            behind = maps.hides(rig[file.stem], person.landmarks.reshape(-1, 3)).reshape(state.shape)
+            for row, of in zip(n, (state == Sight.FURNITURE, np.isin(state, SEEN)), strict=True):
+                row += (behind & of).sum(), of.sum()
+    known, wrong = (None if total == 0 else round(float(100.0 * hit / total), 1) for hit, total in n)
+    return known, wrong
 
 
 def legs_in_hull(session: Path, out: Path) -> float:

@@ -13,11 +13,12 @@ _MOST_VOTES = 65535
 
 
 @njit(cache=True, nogil=True)
-def paint_nearest(cell, depth, half, is_painted, canvas):
+def paint_nearest(cell, depth, half, is_painted, beyond, canvas):
     """Smallest depth in every cell, over squares of 2 half + 1 cells around points.
 
     cell : (N,) int32 of each point, -1 outside the picture.  depth : (N,) m.  half : (N,) int32 cells.  is_painted :
-    (N,) bool, which points.  canvas : (h, w) float32, lowered in place.
+    (N,) bool, which points.  beyond : (h, w) float32 m, nothing nearer counts in a cell.  canvas : (h, w) float32,
+    lowered in place.
     """
     height, width = canvas.shape
     for i in range(cell.shape[0]):
@@ -26,7 +27,7 @@ def paint_nearest(cell, depth, half, is_painted, canvas):
         v, u = cell[i] // width, cell[i] % width
         for b in range(max(v - half[i], 0), min(v + half[i] + 1, height)):
             for a in range(max(u - half[i], 0), min(u + half[i] + 1, width)):
-                if depth[i] < canvas[b, a]:
+                if beyond[b, a] < depth[i] < canvas[b, a]:
                     canvas[b, a] = depth[i]
 
 

@@ -37,7 +37,9 @@ VOXEL_M = 0.05
 MIN_CAMERAS = 4  # with three, a camera that is hidden leaves two, and two cones cross in many places
 _MOST_ENTRIES = 8_000_000  # voxels times cameras of the grid of votes: 64 MB of tables
 # Twice the most that rooms without furniture give to any voxel (decision 34).
-_MIN_BLOCKED = 4
+_MIN_BLOCKED = 2
+# Cameras from which a voxel must have hidden somebody to be believed by another: their rays cross in it.
+_CROSSING = 2
 # A thing is large, or smaller with voxels that are sure: a table and a cabinet have 100 and 250 litres, up to 30 votes.
 _LARGE_LITRES = 8.0
 _SURE_BLOCKED = 8
@@ -81,9 +83,11 @@ class OccluderLearner:
         self._space = _space_of(rig, grid, side)
         self._tables = [_rays_of(camera, self._space) for camera in self._rig]
         self.n_free = np.zeros(self._space.n_voxels, dtype=np.uint16)
-        self.n_blocked = np.zeros(self._space.n_voxels, dtype=np.uint16)
+        # Of each camera by itself: it knows no more than that something stands somewhere on its ray.
+        self.n_blocked = np.zeros((len(rig), self._space.n_voxels), dtype=np.uint16)
         self._places, self._looked = np.zeros((0, 12)), np.zeros(0, dtype=np.int64)
         self._n_looks = 0
+        self._was_blocked = [np.zeros(camera.size[::-1], dtype=np.uint8) for camera in self._rig]
         # The farthest and the second farthest depth at which each cell has shown a person; one may be a mistake.
         self._seen_m = [np.full((2, *camera.size[::-1]), -np.inf, dtype=np.float32) for camera in self._rig]
 
@@ -126,24 +130,33 @@ class OccluderLearner:
         return True
 
     def occluders(self) -> Occluders:
-        """The maps of all cameras from the votes so far, without cells that have shown somebody behind them."""
+        """The maps of all cameras from the votes so far: for each cell the nearest solid voxel that hides somebody.
+
+        What hid somebody from this camera itself counts when it stands behind whoever the cell has shown. What hid
+        somebody from two others counts until the cell has shown somebody behind it.
+        """
         solid = solid_voxels(self._space, self.n_free, self.n_blocked)
         squares = _squares(self._rig, self._space.centers(solid), self._space.voxel_size_m)
+        has_blocked = self.n_blocked[:, solid] > 0
+        is_crossed = np.count_nonzero(has_blocked, axis=0) >= _CROSSING
         maps = {}
         for c, (camera, seen) in enumerate(zip(self._rig, self._seen_m, strict=True)):
-            depth = squares.nearest(c, np.ones(len(solid), dtype=np.bool_))
-            depth[depth < seen[1]] = np.inf
-            maps[camera.name] = depth
+            told, own = squares.nearest(c, is_crossed), squares.nearest(c, has_blocked[c], beyond=seen[1])
+            told[told < seen[1]] = np.inf
+            # Voxels near a camera are larger than the cells in which it knows something.
+            own[cv2.dilate(self._was_blocked[c], np.ones((3, 3), np.uint8)) == 0] = np.inf
+            maps[camera.name] = np.minimum(told, own)
         return Occluders(maps, CELL_PX)
 
     def _vote(self, c: int, near: DepthMap, verdict: Cells) -> None:
         """Count a camera's verdicts (h, w) on what lies before the depths (h, w) m of somebody."""
         shown = np.where(verdict == kernels.FREE, near, np.float32(-np.inf))
+        self._was_blocked[c] |= verdict == kernels.BLOCKED
         seen = self._seen_m[c]
         seen[1] = np.maximum(seen[1], np.minimum(seen[0], shown))
         seen[0] = np.maximum(seen[0], shown)
         kernels.vote_along_rays(
-            near.ravel(), verdict.ravel(), *self._tables[c], BLOCKED_MARGIN_M, self.n_free, self.n_blocked
+            near.ravel(), verdict.ravel(), *self._tables[c], BLOCKED_MARGIN_M, self.n_free, self.n_blocked[c]
         )
 
     def _cut_off(self, voxels: Voxels, is_sure: NDArray[np.bool_]) -> Iterator[Array]:
@@ -243,8 +256,10 @@ def learn_occluders(rig: CameraRig, grid: VoxelGrid, masks_of_frames: Iterable[S
 
 
 def solid_voxels(space: VoxelGrid, n_free: Votes, n_blocked: Votes) -> Voxels:
-    """Voxels that something fills or hides, (N,) int32 ascending, from the votes (n_voxels,) for and against."""
-    blocked = n_blocked.astype(np.int64)
+    """Voxels that something fills or hides, (N,) int32 ascending, from votes: of all cameras that nothing is there,
+    (n_voxels,), and of each that something is, (C, n_voxels).
+    """
+    blocked = n_blocked.sum(axis=0, dtype=np.int64)
     is_solid = (blocked >= _MIN_BLOCKED) & (blocked > _FREE_PER_BLOCKED * n_free.astype(np.int64))
     voxels = np.flatnonzero(is_solid).astype(np.int32)
     labels, n = connected_components(voxels, space)
@@ -330,10 +345,14 @@ class _Squares:
     depth: NDArray[np.float32]
     sizes: tuple[tuple[int, int], ...]
 
-    def nearest(self, c: int, is_painted: NDArray[np.bool_]) -> DepthMap:
-        """Depth (h, w) m of the nearest of some cubes (N,) bool in camera c; inf where there is none."""
+    def nearest(self, c: int, is_painted: NDArray[np.bool_], beyond: DepthMap | None = None) -> DepthMap:
+        """Depth (h, w) m of the nearest of some cubes (N,) bool in camera c; inf where there is none.
+
+        beyond : (h, w) m, which those that count exceed; None = all count.
+        """
         near = np.full(self.sizes[c][::-1], np.inf, dtype=np.float32)
-        kernels.paint_nearest(self.cell[c], self.depth[c], self.half[c], is_painted, near)
+        floor = np.full_like(near, -np.inf) if beyond is None else beyond
+        kernels.paint_nearest(self.cell[c], self.depth[c], self.half[c], is_painted, floor, near)
         return near
 
 

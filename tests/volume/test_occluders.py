@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pytest
 from test_volume_carve import SMALLEST_TABLE_MB, hard_scene
@@ -12,7 +13,7 @@ from mocap.data import Camera, CameraRig, Occluders, VoxelGrid, n_judges
 from mocap.volume import Carver, OccluderLearner, carve_bruteforce, learn_occluders, masks_by_cells
 from mocap.volume import _occluder_kernels as kernels
 from mocap.volume.carve import unknown_bruteforce
-from mocap.volume.occluders import AGAIN_LOOKS, BLOCKED_MARGIN_M, solid_voxels
+from mocap.volume.occluders import AGAIN_LOOKS, BLOCKED_MARGIN_M, painted, solid_voxels
 
 SIZE = (240, 180)
 N_CAMERAS = 6
@@ -189,6 +190,46 @@ def test_holes_that_come_and_go_with_the_person_are_no_furniture():
     assert learn_occluders(ring_rig(), ROOM, frames).is_empty
 
 
+def test_a_cupboard_hides_who_goes_behind_it_though_others_were_seen_before_it():
+    """Somebody seen at a pixel says nothing against what stands farther away there."""
+    along = np.linspace(-0.6, 0.5, 14)
+    before = np.column_stack([0.85 + 0.3 * (along + 0.05), along])
+    behind = [np.column_stack([np.full(14, -0.05 - 0.06 * k), along[:: (-1) ** k]]) for k in range(8)]
+    found = learn_occluders(ring_rig(), ROOM, pictures(np.concatenate([before, *behind]), with_box=True))
+    camera = ring_rig()[0]
+    points = np.concatenate([np.column_stack([b, np.full(14, z)]) for b in behind[::3] for z in (0.2, 0.4)])
+    reach = hit_box(camera.center, points - camera.center)  # of one on the way there
+    assert found.hides(camera, points[reach < 0.95]).mean() > 0.9
+    shown = np.column_stack([before, np.full(14, 0.4)])
+    assert not found.hides(camera, shown).any()
+
+
+def block(learner: OccluderLearner, c: int, points: np.ndarray, n: int) -> np.ndarray:
+    """Votes of camera c that something stands before what lies behind points (N, 3) m; its cells (h, w) that vote."""
+    cubes = painted(ring_rig(), points, 0.05).depth_m[f"c{c}"]
+    verdict = np.where(np.isfinite(cubes), kernels.BLOCKED, kernels.NO_VOTE).astype(np.uint8)
+    for _ in range(n):
+        learner._vote(c, cubes + np.float32(0.5), verdict)
+    return verdict == kernels.BLOCKED
+
+
+def test_what_hid_somebody_from_one_camera_says_nothing_to_the_others():
+    learner, rig = OccluderLearner(ring_rig(), ROOM), ring_rig()
+    side = np.arange(-0.2, 0.2, 0.05)
+    thing = np.stack(np.meshgrid(side, side, side + 0.75), axis=-1).reshape(-1, 3)
+    behind = [np.array([[0.0, 0.0, 0.75]]) * 1.2 - 0.2 * camera.center for camera in rig]
+    cells = block(learner, 2, thing, 9)
+    hidden = [learner.occluders().hides(camera, point)[0] for camera, point in zip(rig, behind, strict=True)]
+    assert hidden == [False, False, True, False, False, False]
+    is_known = np.isfinite(learner.occluders().depth_m["c2"])
+    assert is_known[cells].all()
+    beside = cv2.dilate(cells.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    assert not is_known[~beside].any()  # voxels near the camera are larger than cells
+    block(learner, 4, thing, 2)  # rays of two cross there: it is a thing
+    hidden = [learner.occluders().hides(camera, point)[0] for camera, point in zip(rig, behind, strict=True)]
+    assert all(hidden)
+
+
 def test_who_stands_still_is_one_vote_in_so_many_looks():
     masks = clip(True)[0]
     learner = OccluderLearner(ring_rig(), ROOM)
@@ -351,16 +392,17 @@ def test_hidden_pixels_are_those_of_things_before_the_person():
 
 def test_votes_that_decide():
     space = VoxelGrid(np.zeros(3), (6, 7, 8), 0.05)
-    n_blocked = np.zeros(space.n_voxels, dtype=np.uint16)
-    n_free = np.zeros_like(n_blocked)
+    n_blocked = np.zeros((2, space.n_voxels), dtype=np.uint16)
+    n_free = np.zeros(space.n_voxels, dtype=np.uint16)
     thing = space.linear(np.array([[x, y, 1] for x in range(4) for y in range(5)]))
-    n_blocked[thing] = 4
+    n_blocked[0, thing] = 1
+    n_blocked[1, thing[2:]] = 1
     assert len(solid_voxels(space, n_free, n_blocked)) == 0  # nowhere sure
-    n_blocked[thing[5]] = 8
-    np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing))
-    n_free[thing[0]] = 1
-    np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing[1:]))
-    n_blocked[thing[7:]] = 0
+    n_blocked[1, thing[5]] = 7
+    np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing[2:]))
+    n_free[thing[2]] = 1
+    np.testing.assert_array_equal(solid_voxels(space, n_free, n_blocked), np.sort(thing[3:]))
+    n_blocked[:, thing[7:]] = 0
     assert len(solid_voxels(space, n_free, n_blocked)) == 0  # six voxels, three quarters of a litre
 
 
@@ -377,15 +419,15 @@ def test_paint_nearest_is_the_smallest_depth_over_squares():
     rng = np.random.default_rng(4)
     cell = rng.integers(-1, 24 * 32, 70).astype(np.int32)
     depth, half = rng.uniform(0.5, 4.0, 70).astype(np.float32), rng.integers(0, 4, 70).astype(np.int32)
-    is_painted = rng.random(70) < 0.8
+    is_painted, beyond = rng.random(70) < 0.8, rng.uniform(0.0, 3.0, (24, 32)).astype(np.float32)
     expected = np.full(24 * 32, np.inf, dtype=np.float32)
     for k, d, r in zip(cell[is_painted], depth[is_painted], half[is_painted], strict=True):
         if k >= 0:
-            own = cells_of_squares(k, r, 32, 24)
+            own = cells_of_squares(k, r, 32, 24) & (beyond.ravel() < d)
             expected[own] = np.minimum(expected[own], d)
     for run in (kernels.paint_nearest, kernels.paint_nearest.py_func):
         got = np.full((24, 32), np.inf, dtype=np.float32)
-        run(cell, depth, half, is_painted, got)
+        run(cell, depth, half, is_painted, beyond, got)
         np.testing.assert_array_equal(got.ravel(), expected)
 
 
