@@ -31,6 +31,7 @@ from mocap.data import CameraRig
 from mocap.io.calibration import read_calibration, write_calibration
 from mocap.io.session import open_session
 from mocap.io.store import StageStore
+from mocap.io.tables import read_landmarks_csv
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
 from mocap.products.hulls import stored_faults
@@ -215,6 +216,23 @@ def prepared(
     return root
 
 
+def strays(session: Path, fault: Fault) -> Row:
+    """How far a wrong calibration moves the pictures of people, px, and lines of sight at them, mm: means over the
+    landmarks, of the camera that is off least."""
+    rig = read_calibration(session / "calibration.toml").rig
+    wrong = _misplaced(rig, fault)
+    people = read_landmarks_csv(session / "truth" / "landmarks.csv")
+    points = np.concatenate([motion.landmarks.reshape(-1, 3) for motion in people])
+    moved = []
+    for c in fault.cameras:
+        (there, depth), (here, _) = rig[c].project(points), wrong[c].project(points)
+        px = np.linalg.norm(here - there, axis=1)
+        focal_px = 0.5 * (rig[c].K[0, 0] + rig[c].K[1, 1])
+        moved.append((float(np.nanmean(px)), 1000 * float(np.nanmean(px * depth)) / focal_px))
+    px, mm = min(moved)
+    return {"moves_px": round(px, 2), "misses_mm": round(mm, 1)}
+
+
 def scores_of(session: Path, out: Path, how: str) -> Row:
     """Scores of a run, and what it says of cameras.  how : of volume.on_bad_camera."""
     config = load_config("default", ("output.formats=[]", f"volume.on_bad_camera={how}"))
@@ -244,10 +262,13 @@ def evaluate(session: Path, fault: Fault, work: Path, healthy_mm: float | None) 
     ignored = scores_of(faulty, out, "ignore") if is_calibration else dict.fromkeys(handled)
     names = {open_session(faulty).rig.names[c] for c in fault.cameras}
     named = {f.camera for f in found if f.camera}
+    is_misplaced = any(fault.turn_deg) or any(fault.shift_m)
+    moved = strays(session, fault) if is_misplaced else {"moves_px": None, "misses_mm": None}
     return {
         "session": session.name,
         "fault": fault.name,
         "cameras": " ".join(sorted(names)),
+        **moved,
         "is_found": int(bool(found)),
         "is_right": int(named == names),
         "false_alarms": len(named - names),

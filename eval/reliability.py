@@ -211,17 +211,21 @@ def promise_table() -> str:
 def fault_table(path: Path) -> str:
     """Fault, whether it was found and who was named, and the mean error."""
     lines = [
-        "| fault | cameras | found | named | others blamed | mean error, mm: healthy, ignored, handled | coverage, % |",
-        "|---|---|---|---|---|---|---|",
+        "| fault | cameras | moves people by | found | named | others blamed "
+        "| mean error, mm: healthy, ignored, handled | coverage, % |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     rows = _rows(path)
     for row in rows:
         errors = ", ".join(row[key] or "-" for key in ("healthy_mm", "ignored_mm", "handled_mm"))
-        lines.append(
-            f"| {row['fault']} | {row['cameras']} | {_yes(row['is_found'])} | {_yes(row['is_right'])} | "
-            f"{row['false_alarms']} | {errors} | {row['handled_coverage_90_percent'] or '-'} |"
-        )
+        told = f"{_yes(row['is_found'])} | {_yes(row['is_right'])} | {row['false_alarms']}"
+        held = row["handled_coverage_90_percent"] or "-"
+        lines.append(f"| {row['fault']} | {row['cameras']} | {_moved(row)} | {told} | {errors} | {held} |")
     return "\n".join(lines) if rows else ""
+
+
+def _moved(row: dict[str, str]) -> str:
+    return f"{row['moves_px']} px, {row['misses_mm']} mm" if row.get("moves_px") else ""
 
 
 def healthy_table(path: Path) -> str:
