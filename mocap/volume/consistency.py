@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mocap.data import CameraRig, Occluders, VoxelGrid
 from mocap.volume import _kernels
 from mocap.volume.carve import Carver, check_masks
+from mocap.volume.components import connected_components
 from mocap.volume.rig_agreement import MaskSample
 from mocap.volume.synchrony import Silhouettes, silhouette_hull
 
@@ -44,6 +45,9 @@ _MAX_SAMPLES = 24
 # Outlines are kept as convex hulls, a few kB a frame, of frames that follow each other, as clocks are told from motion:
 # 1.6 s at 30 frames a second, some times over the recording.
 _BURST_FRAMES, _MAX_BURSTS = 48, 8
+# Of a volume, at the room's side: less is a hand, or the corner of what few cameras leave of the rays.
+_CUT_SHARE = 0.02
+_LEAST_PART = 0.1  # of the largest part of a volume; smaller ones are no person
 _MAX_OUTLINES = 48  # of them: as many as `mocap check` looks at
 FRAME_S = (
     1 / 30
@@ -254,6 +258,7 @@ class ConsistencyMonitor:
             min_views=min(_MIN_VIEWS, n),
             min_votes=min(2, n) if is_furnished else None,
         )
+        voxels = _whole_in_room(voxels, self._carver.grid)
         self._places = np.zeros((0, 3))
         if len(voxels) == 0:
             return canvas
@@ -344,6 +349,26 @@ class _Packed:
     frame: int
     masks: tuple[NDArray[np.uint8], ...]
     places: Array
+
+
+def _whole_in_room(voxels: Voxels, grid: VoxelGrid) -> Voxels:
+    """Voxels (N,) of what is whole in the room: of somebody who walks out of it masks show more than the volume can.
+
+    With him goes what is too small for a person: a hand that the voxels part from him.
+    """
+    if len(voxels) == 0:
+        return voxels
+    columns = grid.subscripts(voxels)[:, :2]
+    at_side = ((columns == 0) | (columns == np.array(grid.shape[:2]) - 1)).any(axis=1)
+    if not at_side.any():
+        return voxels
+    component, n = connected_components(voxels, grid)
+    size = np.bincount(component, minlength=n)
+    is_cut = np.bincount(component[at_side], minlength=n) > _CUT_SHARE * size
+    if not is_cut.any():
+        return voxels
+    is_cut |= size < _LEAST_PART * size[0]  # the first is the largest
+    return np.asarray(voxels[~is_cut[component]])
 
 
 def _corners(lower: Array, upper: Array) -> Array:

@@ -90,6 +90,18 @@ def test_clean_cameras_are_left_alone() -> None:
     assert find(noisy) == ()
 
 
+@pytest.mark.parametrize("half_m", [0.75, 0.95])
+def test_who_walks_out_of_the_room_in_view_of_all_cameras_is_no_fault_of_theirs(half_m: float) -> None:
+    """The volume ends at the room's side, masks do not: what is cut there says nothing of cameras."""
+    room = VoxelGrid.from_bounds(np.array([-1.6, -half_m, 0.0]), np.array([1.6, half_m, 2.0]), 0.05)
+    monitor, whole = ConsistencyMonitor(RIG, room), 0
+    for f in range(T):
+        monitor.add(FIRST + f, [camera[f] for camera in walk()])
+        whole += monitor.evidence().hull_cells[-1].min() > 0
+    assert find_camera_faults(monitor.evidence()) == ()
+    assert 10 < whole < T - 10  # he is inside for a part of the time
+
+
 def test_a_moved_camera_is_named_with_its_frame_and_shift() -> None:
     masks = clean()
     masks[3] = [rotated(m, 3, (0.0, 4.0, 0.0)) if f >= START else m for f, m in enumerate(masks[3])]
