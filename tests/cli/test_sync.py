@@ -131,40 +131,63 @@ FLASHES_S = ((2.0, 2.3), (3.1, 3.2))
 
 
 def write_clips(
-    root: Path, *, with_sound: bool = True, flashes: tuple[tuple[float, float], ...] = FLASHES_S
+    root: Path,
+    *,
+    with_sound: bool = True,
+    flashes: tuple[tuple[float, float], ...] = FLASHES_S,
+    chapters: str = "",
 ) -> Path:
-    """A session of short videos whose cameras began at different times, with a torch, and a clap at each flash."""
-    av = pytest.importorskip("av")
-    (root / "videos").mkdir(parents=True)
+    """A session of short videos whose cameras began at different times, with a torch, and a clap at each flash.
+
+    chapters : camera that has cut its recording in two.
+    """
     for n, camera in enumerate(RIG):
-        noise = np.random.default_rng(n)
-        begins = LATE_S.get(camera.name, 0.0)
-        with av.open(str(root / "videos" / f"{camera.name}.mp4"), "w") as container:
-            video = container.add_stream("mpeg4", rate=int(FPS))
-            video.width, video.height = SIZE
-            sound = container.add_stream("aac", rate=16000, layout="mono") if with_sound else None
-            for k in range(150):
-                time = begins + k / FPS
-                level = 60 + 80 * any(a <= time < b for a, b in flashes)
-                picture = noise.integers(level - 3, level + 4, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
-                container.mux(video.encode(av.VideoFrame.from_ndarray(picture)))
-            container.mux(video.encode())
-            if sound is None:
-                continue
-            times = begins + np.arange(round(150 / FPS * 16000)) / 16000
-            wave = noise.normal(0, 1e-3, len(times))
-            for a, _ in flashes:
-                since = times - a
-                wave += np.where(since > 0, np.exp(-np.clip(since, 0, 1) / 0.03), 0) * noise.normal(
-                    0, 0.2, len(times)
-                )
-            frame = av.AudioFrame.from_ndarray(wave[None].astype(np.float32), format="fltp", layout="mono")
-            frame.sample_rate = 16000
-            container.mux(sound.encode(frame))
-            container.mux(sound.encode())
+        noise, begins = np.random.default_rng(n), LATE_S.get(camera.name, 0.0)
+        path = root / "videos" / f"{camera.name}.mp4"
+        if camera.name != chapters:
+            write_clip(path, noise, begins, range(150), flashes, with_sound=with_sound)
+            continue
+        for k, part in enumerate((range(60), range(60, 150))):
+            chapter = path.with_suffix("") / f"GX0{k + 1}0007.MP4"
+            write_clip(chapter, noise, begins, part, flashes, with_sound=with_sound)
     write_calibration(root / "calibration.toml", RIG)
     (root / "session.toml").write_text(f"fps = {FPS}\n", encoding="utf-8")
     return root
+
+
+def write_clip(
+    path: Path,
+    noise: np.random.Generator,
+    begins: float,
+    pictures: range,
+    flashes: tuple[tuple[float, float], ...],
+    *,
+    with_sound: bool,
+) -> None:
+    av = pytest.importorskip("av")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w") as container:
+        video = container.add_stream("mpeg4", rate=int(FPS))
+        video.width, video.height = SIZE
+        sound = container.add_stream("aac", rate=16000, layout="mono") if with_sound else None
+        for k in pictures:
+            time = begins + k / FPS
+            level = 60 + 80 * any(a <= time < b for a, b in flashes)
+            picture = noise.integers(level - 3, level + 4, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
+            container.mux(video.encode(av.VideoFrame.from_ndarray(picture)))
+        container.mux(video.encode())
+        if sound is None:
+            return
+        times = begins + pictures[0] / FPS + np.arange(round(len(pictures) / FPS * 16000)) / 16000
+        wave = noise.normal(0, 1e-3, len(times))
+        for a, _ in flashes:
+            since = times - a
+            decay = np.where(since > 0, np.exp(-np.clip(since, 0, 1) / 0.03), 0)
+            wave += decay * noise.normal(0, 0.2, len(times))
+        frame = av.AudioFrame.from_ndarray(wave[None].astype(np.float32), format="fltp", layout="mono")
+        frame.sample_rate = 16000
+        container.mux(sound.encode(frame))
+        container.mux(sound.encode())
 
 
 def written_offsets(root: Path) -> dict[str, float]:
@@ -179,6 +202,14 @@ def test_a_torch_and_a_clap_tell_clocks(by: str, within_s: float, tmp_path: Path
     )
     assert done.code == 0, done.err
     assert cv2.imread(str(tmp_path / "proof.png")) is not None
+    assert written_offsets(session) == pytest.approx(LATE_S, abs=within_s)
+
+
+@pytest.mark.parametrize(("by", "within_s"), [("light", 0.02), ("sound", 0.003)])
+def test_the_chapters_of_a_camera_have_one_clock(by: str, within_s: float, tmp_path: Path) -> None:
+    session = write_clips(tmp_path / "session", chapters=RIG.names[2])
+    done = mocap("sync", session, "--by", by, "--reference", RIG.names[0])
+    assert done.code == 0, done.err
     assert written_offsets(session) == pytest.approx(LATE_S, abs=within_s)
 
 
