@@ -382,8 +382,8 @@ class ContactSettings(_Strict):
     down_m: float = 0.02
     """A heel that is higher than this above its usual lowest place is not down."""
     floor_off_m: float = 0.05
-    """Feet that stand farther from the calibration's floor are told of: on development sessions whose floor is right they
-    stand 1 to 3.5 cm over it, by shoes and by what legs differ in."""
+    """Feet that stand farther from the calibration's floor are told of: on development sessions whose floor is right
+    they stand 1 to 3.5 cm over it, by shoes and by what legs differ in."""
     floor_tilt_deg: float = 1.5
     """A floor that falls more steeply is told of."""
     hold_s: float = 0.4
