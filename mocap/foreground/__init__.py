@@ -8,7 +8,9 @@ from mocap.foreground.recording import (
     background_of_recording,
     first_cuts,
     key_pictures,
+    off_rim,
     reduction_of,
+    with_floor,
 )
 from mocap.foreground.refine import refine_mask
 from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segmenter, clean_mask
@@ -29,8 +31,10 @@ __all__ = [
     "learn_background",
     "mask_quality",
     "median_background",
+    "off_rim",
     "reduction_of",
     "refine_mask",
     "triples_of",
     "unfitted",
+    "with_floor",
 ]

@@ -29,6 +29,7 @@ class Background:
     n_images : how many pictures were used.  kind : 'clip', 'median', 'still' or 'recording'.
     moving_share : share of the pixels at which some picture is far from the usual colour, or shows a person.
     covered : (H, W) bool, pixels that no picture shows empty: a person is always there; None = none.
+    told_share : share of the pixels that no picture of this camera shows empty, and that others know.
     """
 
     mean: NDArray[np.float32]
@@ -37,11 +38,13 @@ class Background:
     kind: str
     moving_share: float
     covered: Mask | None = None
+    told_share: float = 0.0
 
     @property
     def holds_somebody(self) -> bool:
         """Whether so much was never seen empty that the outlines of who stays there are guesses."""
-        return self.covered is not None and float(self.covered.mean()) > _COVERED_WORTH_A_WORD
+        covered = 0.0 if self.covered is None else float(self.covered.mean())
+        return covered + self.told_share > _COVERED_WORTH_A_WORD
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -53,7 +56,7 @@ class Background:
                 "hardly anything moves in this clip: a person who stays in place is learnt as background; "
                 "record an empty scene",
             )
-        if self.covered is not None and self.holds_somebody:
+        if self.covered is not None and float(self.covered.mean()) > _COVERED_WORTH_A_WORD:
             return (
                 f"{self.covered.mean():.1%} of the picture is never seen empty: somebody stays there, and it counts as "
                 "a person in every frame",

@@ -8,7 +8,8 @@ key pictures he is cut out; what no cut has covered is the background there, and
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,6 +30,7 @@ _FAR = 20  # levels from the usual colour that count as "something else was here
 _DIFFERS = 15  # levels from what is painted in that make a pixel likely to show a person in the first cut
 _MOST_HOLE_PX = 6000  # of 640 x 480: a hole in what moves that may still be inside a person
 _RIM_PX = 2  # blur and compression mix colours so far beside a person
+_FLOOR_STD = 0.2  # of what makes a difference from a floor that others see
 _LEAST_STD = 4.0  # times the usual spread that a background pixel may have at most
 
 
@@ -135,6 +137,33 @@ def background_of_recording(images: Iterable[Image], cuts: Sequence[Mask]) -> Ba
     return Background(mean, std, len(samples), "recording", float((cover > 1).any(axis=0).mean()), covered)
 
 
+def with_floor(
+    background: Background, colour: NDArray[np.float32], limit: NDArray[np.float32], region: Mask
+) -> Background:
+    """The background with the floor that other cameras see, where persons hide it from this one all the time.
+
+    colour, limit : (h, w, 3) and (h, w) grey levels, of the bare floor as this camera would see it and by how much
+    another thing differs from it; limit -1 where the floor is not known.  region : (h, w) bool, where persons can be.
+    """
+    height, width = background.mean.shape[:2]
+    colour, limit = (_enlarged(part, (width, height)) for part in (colour, limit))
+    is_asked = (_enlarged(region.astype(np.uint8), (width, height)) > 0) & (limit >= 0)
+    differs = np.abs(cv2.blur(background.mean, (3, 3)) - colour).max(axis=2) > limit
+    covered = np.zeros_like(is_asked) if background.covered is None else background.covered
+    hidden = cv2.morphologyEx((is_asked & (differs | covered)).astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
+    hidden = (cv2.dilate(hidden, _disc(_RIM_PX * reduction_of(width))) > 0) & is_asked
+    mean, std = background.mean.copy(), background.std.copy()
+    mean[hidden] = colour[hidden]
+    std[hidden] = np.maximum(std[hidden], _FLOOR_STD * limit[hidden, None])
+    told = float((covered & hidden).mean())
+    return replace(background, mean=mean, std=std, covered=covered & ~hidden, told_share=told)
+
+
+def off_rim(cut: Mask) -> Mask:
+    """Where a picture of the working size shows nothing of what is cut out (h, w), not even blurred."""
+    return cv2.dilate(cut.astype(np.uint8), _disc(_RIM_PX)) == 0
+
+
 def _same_light(samples: Sequence[Image]) -> list[Image]:
     """Pictures whose light as a whole is that of the middle one, channel by channel."""
     middle = samples[len(samples) // 2][::16, ::16].astype(np.float32) + 1
@@ -151,6 +180,15 @@ def _reduced(image: Image, factor: int) -> Image:
     size = (width // factor, height // factor)
     area = image[: size[1] * factor, : size[0] * factor]
     return area if factor == 1 else cv2.resize(area, size, interpolation=cv2.INTER_AREA)
+
+
+def _enlarged(picture: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """A picture of the working size in full, by nearest pixels.  size : (width, height)."""
+    return (
+        picture
+        if picture.shape[1::-1] == size
+        else cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST)
+    )
 
 
 def _without_holes(mask: Mask, most_px: float) -> Mask:

@@ -19,15 +19,17 @@ from mocap.foreground import (
     key_pictures,
     learn_background,
     median_background,
+    off_rim,
     reduction_of,
     refine_mask,
     unfitted,
+    with_floor,
 )
 from mocap.io.session import Session
 from mocap.io.session.reading import clip_of
 from mocap.io.video import iter_camera
 from mocap.pipeline.config import SegmentationConfig
-from mocap.volume import Witness, choose_grid
+from mocap.volume import Floor, Witness, choose_grid
 
 _LEAST_FRAMES = 3
 _LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two cones cross in many places
@@ -165,9 +167,23 @@ def _of_recording(
         pictures = [key.pictures[k] for key in keys]
         for cut, again in zip(cuts, each(refine_mask, pictures, *zip(*guesses, strict=True)), strict=True):
             cut[k] = again
-    wanted = [(camera, cut) for camera, cut in zip(rig, cuts, strict=True) if camera.name in names]
-    learnt = each(lambda pair: background_of_recording(clip_of(session, pair[0]), pair[1]), wanted)
-    return {camera.name: background for (camera, _), background in zip(wanted, learnt, strict=True)}
+    floor = _floor_of(cuts, keys, small, witness)
+    wanted = [(c, camera) for c, camera in enumerate(rig) if camera.name in names]
+    learnt = each(lambda pair: background_of_recording(clip_of(session, pair[1]), cuts[pair[0]]), wanted)
+    return {
+        camera.name: with_floor(background, *floor.behind(c), regions[c])
+        for (c, camera), background in zip(wanted, learnt, strict=True)
+    }
+
+
+def _floor_of(cuts: list[list[Mask]], keys: list[KeyPictures], rig: CameraRig, witness: Witness) -> Floor:
+    """What all cameras together know of the floor; nobody's feet are taken for it, which cuts may lack."""
+    under = zip(*(witness.columns(instant) for instant in zip(*cuts, strict=True)), strict=True)
+    free = [
+        [off_rim(cut | column) for cut, column in zip(own, columns, strict=True)]
+        for own, columns in zip(cuts, under, strict=True)
+    ]
+    return Floor(rig, witness.grid, [key.pictures for key in keys], free)
 
 
 def _check_frames(camera: Camera, session: Session) -> None:

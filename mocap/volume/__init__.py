@@ -13,6 +13,7 @@ from mocap.volume.coarsen import CoarseVoxels, coarsen
 from mocap.volume.colour import colour_hull, visible_views
 from mocap.volume.components import connected_components
 from mocap.volume.consistency import ConsistencyMonitor, SilhouetteEvidence
+from mocap.volume.floor import Floor
 from mocap.volume.grid import choose_grid, look_at_point
 from mocap.volume.mesh import hull_mesh
 from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_cells, no_occluders
@@ -26,6 +27,7 @@ __all__ = [
     "Carver",
     "CoarseVoxels",
     "ConsistencyMonitor",
+    "Floor",
     "OccluderLearner",
     "SecondLook",
     "SilhouetteEvidence",

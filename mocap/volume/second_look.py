@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mocap.data import Camera, CameraRig, VoxelGrid
 from mocap.volume.carve import Carver, pixels_of_points
+from mocap.volume.floor import floor_behind
 from mocap.volume.residuals import squares
 from mocap.volume.surface import surface_voxels
 
@@ -83,7 +84,7 @@ class SecondLook:
 
         seen : (H, W) bool per camera, mask or shadow.
         """
-        pixels, floor = self._floor_behind(c, np.flatnonzero(asked))
+        pixels, floor = floor_behind(self._rig[c], self._grid, np.flatnonzero(asked))
         n_bare, n_others = self._votes_against(c, floor, seen)
         shows = (n_bare <= _BARE) & (n_others >= _LEAST_OTHERS)
         pixels, floor = pixels[shows], floor[shows]
@@ -95,18 +96,6 @@ class SecondLook:
         out = np.zeros_like(asked)
         out.ravel()[pixels] = True
         return _with_remains(out, masks[c])
-
-    def _floor_behind(self, c: int, pixels: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """Those of a camera's flat pixels that show the floor under the grid, and its points (N, 3) m there."""
-        camera, grid = self._rig[c], self._grid
-        v, u = np.divmod(pixels, camera.size[0])
-        rays = camera.rays(np.column_stack([u, v]).astype(np.float64))
-        down = (rays[:, 2] < 0) & (camera.center[2] > _FEET_M[-1])
-        pixels, rays = pixels[down], rays[down]
-        points = camera.center - camera.center[2] / rays[:, 2:] * rays
-        columns = (points - grid.origin)[:, :2] / grid.voxel_size_m
-        inside = ((columns >= 0) & (columns < grid.shape[:2])).all(axis=1)
-        return pixels[inside], points[inside]
 
     def _votes_against(
         self, c: int, points: Array, masks: Sequence[Mask]

@@ -41,7 +41,7 @@ class Witness:
     """
 
     def __init__(self, rig: CameraRig, grid: VoxelGrid) -> None:
-        self._rig, self._grid = rig, grid
+        self._rig, self.grid = rig, grid
         self._carver = Carver(rig, grid)
         self._tolerance = 1 if len(rig) >= 5 else 0  # cameras that may miss a part; four cannot afford it
 
@@ -52,7 +52,7 @@ class Witness:
         may be missing.
         """
         voxels = self._carver.carve(active, n_faulty_views=self._tolerance)
-        voxels = voxels[self._grid.centers(voxels)[:, 2] > _SHADOW_M]
+        voxels = voxels[self.grid.centers(voxels)[:, 2] > _SHADOW_M]
         return self._seen(self._to_the_floor(self._persons(voxels), _KNEE_M, _FOOT_REACH_M))
 
     def corrected(self, cuts: Sequence[Mask]) -> list[tuple[Mask, Mask]]:
@@ -70,16 +70,23 @@ class Witness:
             out.append((allowed, allowed & (cut | core)))
         return out
 
+    def columns(self, cuts: Sequence[Mask]) -> list[Mask]:
+        """What stands straight under somebody's legs in the cuts of one instant, (H, W) bool per camera: he hides the
+        floor there, whether the cuts have his feet or not.
+        """
+        person = self._persons(self._carver.carve(cuts, n_faulty_views=self._tolerance))
+        return self._seen(self._to_the_floor(person, _CUT_KNEE_M, 0.0))
+
     def _seen(self, voxels: Voxels) -> list[Mask]:
-        points = self._grid.centers(voxels[surface_voxels(voxels, self._grid)])
-        return [silhouette(camera, points, self._grid.voxel_size_m) for camera in self._rig]
+        points = self.grid.centers(voxels[surface_voxels(voxels, self.grid)])
+        return [silhouette(camera, points, self.grid.voxel_size_m) for camera in self._rig]
 
     def _persons(self, voxels: Voxels) -> Voxels:
         """The components that can be persons."""
-        labels, n = connected_components(voxels, self._grid)
-        litres = np.bincount(labels, minlength=n) * self._grid.voxel_size_m**3 * 1000.0
+        labels, n = connected_components(voxels, self.grid)
+        litres = np.bincount(labels, minlength=n) * self.grid.voxel_size_m**3 * 1000.0
         top = np.zeros(n)
-        np.maximum.at(top, labels, self._grid.centers(voxels)[:, 2])
+        np.maximum.at(top, labels, self.grid.centers(voxels)[:, 2])
         return voxels[((litres >= _PERSON_LITRES) & (top >= _PERSON_TOP_M))[labels]]
 
     def _whole(self, voxels: Voxels) -> Voxels:
@@ -88,9 +95,9 @@ class Witness:
 
     def _to_the_floor(self, voxels: Voxels, knee_m: float, reach_m: float) -> Voxels:
         """The voxels with legs and feet below what reaches below the knee."""
-        side = self._grid.voxel_size_m
-        full = self._grid.dense(voxels).astype(np.uint8)
-        knee, foot, reach = (max(1, round(length / side)) for length in (knee_m, _FOOT_M, reach_m))
+        side = self.grid.voxel_size_m
+        full = self.grid.dense(voxels).astype(np.uint8)
+        knee, foot, reach = (round(length / side) for length in (knee_m, _FOOT_M, reach_m))
         leg = cv2.dilate(full[:, :, :knee].any(axis=2).astype(np.uint8), np.ones((3, 3), np.uint8))
         full[:, :, :knee] |= leg[:, :, None]
         full[:, :, :foot] |= cv2.dilate(leg, _disc(reach))[:, :, None]
@@ -98,7 +105,7 @@ class Witness:
 
     def _to_the_crown(self, voxels: Voxels) -> Voxels:
         """The voxels with room for a head on the highest place of each person."""
-        side, full = self._grid.voxel_size_m, self._grid.dense(voxels).astype(np.uint8)
+        side, full = self.grid.voxel_size_m, self.grid.dense(voxels).astype(np.uint8)
         n = full.shape[2]
         top = np.where(full.any(axis=2), n - full[:, :, ::-1].argmax(axis=2), 0).astype(np.float32)
         highest = cv2.dilate(top, _disc(round(_HEAD_REACH_M / side)))

@@ -12,6 +12,7 @@ from mocap.foreground import (
     first_cuts,
     key_pictures,
     median_background,
+    with_floor,
 )
 from mocap.foreground.recording import keys_of
 
@@ -97,3 +98,28 @@ def test_every_key_picture_needs_its_cut() -> None:
     _, pictures, silhouettes = recording()
     with pytest.raises(ValueError, match="cuts"):
         background_of_recording(pictures, list(keys_in(silhouettes))[1:])
+
+
+def test_shoes_that_every_cut_lacks_are_seen_before_the_floor_that_others_tell() -> None:
+    wall, pictures, silhouettes = recording()
+    feet = np.zeros((H, W), dtype=np.bool_)
+    feet[76:83, 56:72] = True  # the lowest of the ellipse and a shoe beside it
+    shown = pictures.copy()
+    shown[:, feet] = (90, 140, 100)
+    lacking = [mask & ~feet for mask in keys_in(silhouettes)]
+    background = background_of_recording(shown, lacking)
+    region = cv2.dilate((silhouettes.any(axis=0) | feet).astype(np.uint8), np.ones((9, 9))) > 0
+    limit = np.full((H, W), 15.0, dtype=np.float32)
+    limit[:60] = -1.0  # there the floor ends
+    floor = with_floor(background, wall.astype(np.float32), limit, region)
+    inside = cv2.erode(feet.astype(np.uint8), np.ones((3, 3))) > 0
+    assert Segmenter(background).segment(shown[7]).mask[inside].mean() < 0.1
+    assert Segmenter(floor).segment(shown[7]).mask[inside].mean() > 0.95
+    assert floor.covered is not None
+    assert background.covered is not None
+    assert not floor.covered[feet].any()
+    assert floor.told_share == pytest.approx((background.covered & ~floor.covered).mean())
+    assert floor.holds_somebody  # as before: its outlines judge no calibration
+    np.testing.assert_array_equal(floor.covered[:50], background.covered[:50])
+    np.testing.assert_array_equal(floor.mean[:50], background.mean[:50])
+    np.testing.assert_array_equal(floor.mean[~region], background.mean[~region])
