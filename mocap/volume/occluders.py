@@ -61,7 +61,7 @@ _WAIST_M = 0.3  # the lowest part of what is seen, under which the legs are
 _STRIDE_M = 0.4  # from there to a foot
 _HIP_M = 0.2  # half the width of what is taken for legs
 # Share of a mask outside the silhouette of a hull that allows most cameras to be wrong. Healthy masks have hardly any.
-_ASTRAY_SHARE = 0.2
+_ASTRAY_SHARE = 0.1
 
 
 class OccluderLearner:
