@@ -62,6 +62,9 @@ _STRIDE_M = 0.4  # from there to a foot
 _HIP_M = 0.2  # half the width of what is taken for legs
 # Share of a mask outside the silhouette of a hull that allows most cameras to be wrong. Healthy masks have hardly any.
 _ASTRAY_SHARE = 0.1
+# A mask so much of which is astray is odd, and a camera whose masks are in a tenth of its frames has moved: what it
+# misses is no furniture. Those of healthy cameras are in one or two of 75 frames, of one turned by 5 degrees in half.
+_ODD_SHARE, _OFTEN = 0.025, 0.1
 
 
 class OccluderLearner:
@@ -87,6 +90,8 @@ class OccluderLearner:
         self.n_blocked = np.zeros((len(rig), self._space.n_voxels), dtype=np.uint16)
         self._places, self._looked = np.zeros((0, 12)), np.zeros(0, dtype=np.int64)
         self._n_looks = 0
+        # Of each camera: the frames it was asked in, and those in which its mask was odd.
+        self._n_asked, self._n_odd = np.zeros((2, len(rig)), dtype=np.int64)
         self._was_blocked = [np.zeros(camera.size[::-1], dtype=np.uint8) for camera in self._rig]
         # The farthest and the second farthest depth at which each cell has shown a person; one may be a mistake.
         self._seen_m = [np.full((2, *camera.size[::-1]), -np.inf, dtype=np.float32) for camera in self._rig]
@@ -118,7 +123,10 @@ class OccluderLearner:
         everything = np.ones(len(voxels), dtype=np.bool_)
         for c, own in enumerate(cells):
             is_covered = np.isfinite(squares.nearest(c, everything))
-            if np.count_nonzero(masks[c] & ~is_covered) > _ASTRAY_SHARE * np.count_nonzero(masks[c]):
+            n_astray, n_seen = np.count_nonzero(masks[c] & ~is_covered), np.count_nonzero(masks[c])
+            self._n_asked[c] += 1
+            self._n_odd[c] += n_astray > _ODD_SHARE * n_seen
+            if n_astray > _ASTRAY_SHARE * n_seen:
                 continue  # it sees somebody, elsewhere: it has moved, lags, or others see too little
             near = squares.nearest(c, is_sure)
             missed = squares.nearest(c, is_sure & objects[c])
@@ -135,9 +143,11 @@ class OccluderLearner:
         What hid somebody from this camera itself counts when it stands behind whoever the cell has shown. What hid
         somebody from two others counts until the cell has shown somebody behind it.
         """
-        solid = solid_voxels(self._space, self.n_free, self.n_blocked)
+        has_moved = self._n_odd > _OFTEN * self._n_asked
+        n_blocked = np.where(has_moved[:, None], np.uint16(0), self.n_blocked)
+        solid = solid_voxels(self._space, self.n_free, n_blocked)
         squares = _squares(self._rig, self._space.centers(solid), self._space.voxel_size_m)
-        has_blocked = self.n_blocked[:, solid] > 0
+        has_blocked = n_blocked[:, solid] > 0
         is_crossed = np.count_nonzero(has_blocked, axis=0) >= _CROSSING
         maps = {}
         for c, (camera, seen) in enumerate(zip(self._rig, self._seen_m, strict=True)):

@@ -274,6 +274,14 @@ def test_who_jumps_has_no_hidden_legs():
     assert learn_occluders(ring_rig(), ROOM, frames).is_empty
 
 
+@pytest.mark.parametrize("shift_px", [15, 18, 25])
+def test_a_camera_that_was_pushed_at_half_of_the_clip_is_hidden_by_nothing(shift_px: int):
+    frames = [list(masks) for masks in clip(False)]
+    for masks in frames[len(frames) // 2 :]:
+        masks[2] = np.roll(masks[2], shift_px, axis=1)
+    assert learn_occluders(ring_rig(), ROOM, frames).is_empty
+
+
 def test_the_order_of_cameras_does_not_matter():
     order = [4, 0, 5, 2, 1, 3]
     rig = CameraRig(tuple(ring_rig()[i] for i in order))
