@@ -134,7 +134,7 @@ def interrupt_after(stage: str) -> Callable[..., Any]:
 def test_ctrl_c_in_a_run_says_what_is_kept_and_the_command_that_goes_on(
     session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import mocap.pipeline.run as pipeline
+    import mocap.pipeline.stretches as pipeline
 
     out = tmp_path / "out"
     arguments = ("run", session, "-o", out, "--until", "carve", "--frames", ":4", *set_options(PLAIN))

@@ -48,7 +48,7 @@ ALWAYS_IN_THE_KEY = {
         "detection_sources",
     ),
     *("keypoint_sources", "depth_sources"),
-    *("roi_sources", "clips", "root"),
+    *("roi_sources", "clips", "root", "later_calibrations"),
 }
 
 

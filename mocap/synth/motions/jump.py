@@ -13,7 +13,7 @@ _DIP, _GIVE = 0.28, 0.22  # of the leg's length, by which the pelvis sinks befor
 _STAND_S, _DIP_S, _RISE_S = 0.6, 0.45, 0.6  # standing, sinking before, and rising after
 _PITCH_RAD = np.deg2rad(35.0)  # of the feet when they leave the floor
 _TOES_M = 0.06  # over the floor they may point down
-_ROLL_S = 0.1  # in which heels leave the floor before the toes do, and come down after them
+_ROLL_S = 0.15  # in which heels leave the floor before the toes do, and come down after them
 
 
 def jump(
@@ -67,13 +67,18 @@ def _course(t: Array, height: float, dip: float, give: float) -> tuple[Array, Ar
     def share(since: Array, length: float) -> Array:
         return np.clip(since / length, 0.0, 1.0)
 
-    sunk = 0.5 - 0.5 * np.cos(np.pi * share(t - _STAND_S, _DIP_S))
+    def ramp(since: Array, length: float) -> Array:
+        return 0.5 - 0.5 * np.cos(np.pi * share(since, length))
+
+    sunk = ramp(t - _STAND_S, _DIP_S)
     pushed = share(t - _STAND_S - _DIP_S, push_s)
     given = 1.0 - (1.0 - share(down, give_s)) ** 2
-    risen = 0.5 - 0.5 * np.cos(np.pi * share(down - give_s, _RISE_S))
+    risen = ramp(down - give_s, _RISE_S)
     crouch = dip * (sunk - pushed**2) + give * (given - risen)
     pitch = _PITCH_RAD * (share(air + _ROLL_S, _ROLL_S) - share(down, _ROLL_S))
     flies = (air > 0) & (down < 0)
     rise = np.where(flies, speed * air - 0.5 * _GRAVITY * air**2, 0.0)
-    swing = -0.4 * (sunk - pushed) + 1.0 * (pushed - share(down, give_s))
+    raised = ramp(t - _STAND_S - _DIP_S, push_s + 0.5 * flight_s)
+    lowered = ramp(air - 0.5 * flight_s, 0.5 * flight_s + give_s + 0.2)
+    swing = raised - lowered - 0.4 * (sunk - raised)
     return crouch, pitch, np.maximum(rise, 0.0), swing
