@@ -54,6 +54,8 @@ FIELDS = (
     ),
     *("n_moves", "moves_found", "move_height_mm"),
 )
+# Columns of the truth's heels and toes, in the order of SOLE_POINTS.
+OF_TRUTH = [FURTHER_LANDMARKS.index(ALL_LANDMARKS[k]) for k in SOLE_POINTS]
 _LEGS = ("left_knee", "left_ankle", "right_knee", "right_ankle")
 
 
@@ -100,21 +102,21 @@ def row_of(name: str, seed: int, body: str, work: Path) -> dict[str, Any]:
     return row
 
 
+def resting(landmarks: Array, fps: float) -> NDArray[np.bool_]:
+    """(T, 4), where heels and toes of landmarks (T, 21, 3) m are found to rest, in the order of SOLE_POINTS."""
+    sole = landmarks[:, list(SOLE_POINTS)]
+    return contacts_of(sole, np.zeros(sole.shape[:2]), fps, ContactSettings()).probability > 0.5
+
+
 def move_scores(
     landmarks: Array, true: Array, truth: FeetAndHands, rows: NDArray[np.int64], fps: float
 ) -> dict[str, Any]:
     """Jumps and squats of landmarks (T, 21, 3) m against those of the truth (T, 15, 3) m: how many of them were found
     where their extremes are within three frames, and how far their heights are off; nothing where the truth has none.
     """
-    columns, pelvis = (
-        [FURTHER_LANDMARKS.index(ALL_LANDMARKS[k]) for k in SOLE_POINTS],
-        LANDMARKS.index("pelvis"),
-    )
-    sole = landmarks[:, list(SOLE_POINTS)]
-    rests = contacts_of(sole, np.zeros(sole.shape[:2]), fps, ContactSettings()).probability > 0.5
-    knee = np.zeros(len(rows))
-    own = find_moves(landmarks[:, pelvis, 2], rests, knee, fps)
-    wanted = find_moves(true[:, pelvis, 2], truth.in_contact[rows][:, columns], knee, fps)
+    pelvis, knee = LANDMARKS.index("pelvis"), np.zeros(len(rows))
+    own = find_moves(landmarks[:, pelvis, 2], resting(landmarks, fps), knee, fps)
+    wanted = find_moves(true[:, pelvis, 2], truth.in_contact[rows][:, OF_TRUTH], knee, fps)
     pairs = [(a, b) for a in wanted for b in own if a.kind == b.kind and abs(a.extreme - b.extreme) <= 3]
     if not wanted and not own:
         return {}
@@ -128,12 +130,11 @@ def move_scores(
 
 def foot_scores(landmarks: Array, truth: FeetAndHands, rows: NDArray[np.int64], fps: float) -> dict[str, Any]:
     """Slips in the contacts of the truth and moments of strikes and offs, of landmarks (T, 21, 3) m on rows (T,)."""
-    of_truth = [FURTHER_LANDMARKS.index(ALL_LANDMARKS[k]) for k in SOLE_POINTS]
-    points, in_contact = landmarks[:, list(SOLE_POINTS)], truth.in_contact[rows][:, of_truth]
+    points, in_contact = landmarks[:, list(SOLE_POINTS)], truth.in_contact[rows][:, OF_TRUTH]
     assert len(LANDMARKS) == min(SOLE_POINTS)
     runs = [unbroken_runs(own) for own in in_contact.T]
-    slips, true_slips = 1000 * slips_m(points, runs), 1000 * slips_m(truth.xyz[rows][:, of_truth], runs)
-    found = contacts_of(points, np.zeros(points.shape[:2]), fps, ContactSettings()).probability > 0.5
+    slips, true_slips = 1000 * slips_m(points, runs), 1000 * slips_m(truth.xyz[rows][:, OF_TRUTH], runs)
+    found = resting(landmarks, fps)
     strikes, offs = [], []
     for foot in (slice(0, 2), slice(2, 4)):
         down = np.asarray(found[:, foot].any(axis=1))

@@ -149,8 +149,6 @@ def calibrate(
         "--calibration": calibration,
         "--height-m": height_m,
         "--picture": picture,
-        "--moved": moved,
-        "--from-frame": from_frame,
     }
     of_move = {"--moved": moved, "--from-frame": from_frame}
     if refine is not None and (moved is not None or from_frame is not None):
@@ -178,7 +176,7 @@ def calibrate(
         _place(place, out, height_m, lenses, board, square_mm, lens, frames)
         return
     _check_options(
-        of_session,
+        of_session | of_move,
         ("BOARD", "--board", "--square-mm"),
         "a board",
         "give --refine SESSION",

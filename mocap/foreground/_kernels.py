@@ -24,13 +24,7 @@ def robust_statistics(samples, far, mean, std, moved):
     n, m = samples.shape
     values = np.empty(n, dtype=np.uint8)
     for i in range(m):
-        for k in range(n):
-            x = samples[k, i]
-            j = k
-            while j > 0 and values[j - 1] > x:
-                values[j] = values[j - 1]
-                j -= 1
-            values[j] = x
+        _sort_column(samples, i, values)
         half = n // 2
         best = 0
         width = np.int32(values[half]) - np.int32(values[0])
@@ -59,18 +53,24 @@ def robust_statistics(samples, far, mean, std, moved):
 
 
 @njit(cache=True, nogil=True)
+def _sort_column(samples, i, values):
+    """Column i of samples (n, m) in order, into values (n,); n is small."""
+    for k in range(len(values)):
+        x = samples[k, i]
+        j = k
+        while j > 0 and values[j - 1] > x:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = x
+
+
+@njit(cache=True, nogil=True)
 def medians(samples, out):
     """Medians (m,) float32, out, of samples (n, m) float32."""
     n, m = samples.shape
     values = np.empty(n, dtype=np.float32)
     for i in range(m):
-        for k in range(n):
-            x = samples[k, i]
-            j = k
-            while j > 0 and values[j - 1] > x:
-                values[j] = values[j - 1]
-                j -= 1
-            values[j] = x
+        _sort_column(samples, i, values)
         out[i] = (values[(n - 1) // 2] + values[n // 2]) / np.float32(2)
 
 

@@ -84,9 +84,8 @@ def fit_background(background: Background, pictures: Sequence[Image]) -> Fit:
     if gone.any():
         mean, std = moved.mean.copy(), moved.std.copy()
         mean[gone] = usual[gone]
-        spread = 1.4826 * np.median(
-            np.abs(stack[:, gone] - usual[gone]), axis=0
-        )  # of noise; who walks past is left out
+        # Of noise: the median leaves out who walks past.
+        spread = 1.4826 * np.median(np.abs(stack[:, gone] - usual[gone]), axis=0)
         std[gone] = np.maximum(np.median(moved.std), spread)
         moved = replace(moved, mean=mean, std=std)
     return Fit(moved, shift, gone, is_elsewhere=False)
@@ -99,11 +98,14 @@ def _in_light_of(mean: NDArray[np.float32], picture: Image) -> NDArray[np.float3
     return np.clip(picture / np.clip(gain, 0.3, 3.0), 0, 255).astype(np.float32)
 
 
+def _brightness(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mean of the channels, (H, W): five times as fast as numpy's mean."""
+    return (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(3)
+
+
 def _grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Fine structure of a picture: its brightness less that of the surroundings, cut off at both ends."""
-    grey = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(
-        3
-    )  # the mean, five times as fast
+    grey = _brightness(picture)
     return np.clip(grey - cv2.GaussianBlur(grey, (0, 0), 8.0), -_FAR, _FAR)
 
 
@@ -165,7 +167,5 @@ def _gone(differs: Mask, mean: NDArray[np.float32], usual: NDArray[np.float32]) 
 
 def _edges(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Steepness of the brightness, (H, W)."""
-    grey = (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(
-        3
-    )  # the mean, five times as fast
+    grey = _brightness(picture)
     return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))

@@ -128,37 +128,23 @@ def _summary(record: RunRecord, found: Found) -> list[tuple[str, str]]:
 def _motion_words(record: RunRecord) -> list[tuple[str, str]]:
     """What the poses say of themselves: how much of them was observed, and how calm they are."""
     persons = record.numbers.get("pose", {}).get("persons", {})
-    observed = {p: n["observed_percent"] for p, n in persons.items() if n.get("observed_percent") is not None}
-    jitter = {p: n["jitter_m_s3"] for p, n in persons.items() if n.get("jitter_m_s3") is not None}
+    told = (
+        ("Landmarks observed", "observed_percent", "{observed_percent:.1f} %"),
+        ("Jitter of landmarks", "jitter_m_s3", "{jitter_m_s3:.0f} m/s^3"),
+        (
+            "Steps",
+            "cadence_per_min",
+            "{steps:.0f} at {cadence_per_min:.0f} per minute, {step_length_m:.2f} m long, {step_width_m:.2f} m wide, "
+            "{speed_m_s:.2f} m/s",
+        ),
+        ("Jumps", "jumps", "{jumps:.0f}, the highest {highest_jump_m:.2f} m"),
+        ("Squats", "squats", "{squats:.0f}, the deepest {deepest_squat_m:.2f} m"),
+    )
     rows = []
-    if observed:
-        rows.append(("Landmarks observed", ", ".join(f"person {p}: {v:.1f} %" for p, v in observed.items())))
-    if jitter:
-        rows.append(
-            ("Jitter of landmarks", ", ".join(f"person {p}: {v:.0f} m/s^3" for p, v in jitter.items()))
-        )
-    walked = {p: n for p, n in persons.items() if n.get("steps") and n.get("cadence_per_min") is not None}
-    if walked:
-        words = (
-            f"person {p}: {n['steps']:.0f} at {n['cadence_per_min']:.0f} per minute, {n['step_length_m']:.2f} m long, "
-            f"{n['step_width_m']:.2f} m wide, {n['speed_m_s']:.2f} m/s"
-            for p, n in walked.items()
-        )
-        rows.append(("Steps", ", ".join(words)))
-    jumped = {p: n for p, n in persons.items() if n.get("jumps")}
-    if jumped:
-        words = (
-            f"person {p}: {n['jumps']:.0f}, the highest {n['highest_jump_m']:.2f} m"
-            for p, n in jumped.items()
-        )
-        rows.append(("Jumps", ", ".join(words)))
-    squatted = {p: n for p, n in persons.items() if n.get("squats")}
-    if squatted:
-        words = (
-            f"person {p}: {n['squats']:.0f}, the deepest {n['deepest_squat_m']:.2f} m"
-            for p, n in squatted.items()
-        )
-        rows.append(("Squats", ", ".join(words)))
+    for name, key, words in told:
+        of = [f"person {p}: {words.format(**n)}" for p, n in persons.items() if n.get(key) is not None]
+        if of:
+            rows.append((name, ", ".join(of)))
     return rows
 
 

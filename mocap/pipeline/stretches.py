@@ -7,6 +7,7 @@ there: so much two runs must share for their persons to be known again.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from mocap.errors import MocapError
@@ -46,29 +47,23 @@ def run_recording(
     opened = open_session(session, calibration=calibration, frames=frames)
     config = config or load_config()
 
-    def run(frames: tuple[int | None, int | None] | None, out: Path, until: str) -> RunResult:
-        return run_session(
-            session,
-            out,
-            config=config,
-            seed=seed,
-            until=until,
-            resume=resume,
-            rehash=rehash,
-            frames=frames,
-            calibration=calibration,
-            n_threads=n_threads,
-            progress=progress,
-            command=command,
-        )
-
+    run = partial(
+        run_session,
+        config=config,
+        seed=seed,
+        resume=resume,
+        rehash=rehash,
+        n_threads=n_threads,
+        progress=progress,
+        command=command,
+    )
     out = Path(out)
     if len(opened.stretches) == 1:
-        return run(frames, out, until)
+        return run(opened, out, until=until)
     _check_whole(opened, until, observation_kind(opened, config))
     pieces = [out / PIECES / f"{piece.start}-{piece.stop}" for piece in pieces_of(opened)]
     for path, piece in zip(pieces, pieces_of(opened), strict=True):
-        run((piece.start, piece.stop), path, "pose")
+        run(session, path, until="pose", frames=(piece.start, piece.stop), calibration=calibration)
     return join_runs(Path(session), pieces, out, progress=progress, command=command)
 
 

@@ -22,9 +22,8 @@ _GRAVITY = 9.81  # m/s^2
 _TOGETHER_S, _LEAST_FLIGHT_S = 0.15, 0.12
 # A walking pelvis sinks by 5 cm, a jogging one by 10; a squat lasts while the pelvis is down by a quarter of its depth.
 _LEAST_DEPTH_M, _OUT_SHARE = 0.15, 0.25
-_STANDING_QUANTILE = (
-    0.9  # of the pelvis' heights while heels rest: who stands and squats by turns stands a tenth of it
-)
+# Of the pelvis' heights while heels rest: who stands and squats by turns stands a tenth of it.
+_STANDING_QUANTILE = 0.9
 
 
 @dataclass(frozen=True)

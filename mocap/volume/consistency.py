@@ -45,13 +45,12 @@ _MAX_SAMPLES = 24
 # Outlines are kept as convex hulls, a few kB a frame, of frames that follow each other, as clocks are told from motion:
 # 1.6 s at 30 frames a second, some times over the recording.
 _BURST_FRAMES, _MAX_BURSTS = 48, 8
+_MAX_OUTLINES = 48  # frames of them that are looked at: as many as `mocap check` takes
 # Of a volume, at the room's side: less is a hand, or the corner of what few cameras leave of the rays.
 _CUT_SHARE = 0.02
 _LEAST_PART = 0.1  # of the largest part of a volume; smaller ones are no person
-_MAX_OUTLINES = 48  # of them: as many as `mocap check` looks at
-FRAME_S = (
-    1 / 30
-)  # of a clock that counts frames: what smooths curves is measured for pictures of about this rate
+# Of a clock that counts frames: what smooths curves is measured for pictures of about this rate.
+FRAME_S = 1 / 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +166,8 @@ class ConsistencyMonitor:
     def silhouettes(self) -> list[Silhouettes]:
         """What clocks are told from: outlines of frames that follow each other, on a clock that counts frames."""
         bursts = self._bursts.items
-        starts = (
-            2 * _BURST_FRAMES * np.arange(len(bursts))
-        )  # apart, so that no lag reaches from one to the next
+        # Apart, so that no lag reaches from one to the next.
+        starts = 2 * _BURST_FRAMES * np.arange(len(bursts))
         times = [start + np.arange(2 * _BURST_FRAMES) for start in starts]
         nobody = [np.zeros((0, 2))]
         return [

@@ -28,6 +28,10 @@ from mocap.pipeline.record import record_to_json
 from mocap.pipeline.run import run_session
 from mocap.products.hulls import read_hulls
 
+WITH_POSES = {
+    *("run.json", "tracks.csv", "landmarks.csv", "angles.csv", "steps.csv", "cycles.csv", "moves.csv"),
+    *("pose.npz", "body.toml"),
+}
 SMALL = (*PLAIN, "volume.voxel_size_m=0.05")
 
 
@@ -99,20 +103,8 @@ def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None
     result = run_session(session, out, config=config("trc"), resume=True)
     assert result.reused == ("segment", "occluders", "carve", "track", "pose")
     assert names(out) == {
-        *(
-            "run.json",
-            "tracks.csv",
-            "landmarks.csv",
-            "angles.csv",
-            "steps.csv",
-            "cycles.csv",
-            "moves.csv",
-            "pose.npz",
-            "body.toml",
-            "person_1.trc",
-            "store.zarr",
-        ),
-        "mine.txt",
+        *WITH_POSES,
+        *("person_1.trc", "store.zarr", "mine.txt"),
     }
     assert result.record.removed == ("person_1.bvh", "report.html", "scores.json")
     about = json.loads((out / "run.json").read_text())
@@ -125,20 +117,7 @@ def test_formats_that_are_left_out_are_removed(session: Path, out: Path) -> None
     [
         ("segment", {"run.json"}),
         ("track", {"run.json", "tracks.csv"}),
-        (
-            "pose",
-            {
-                "run.json",
-                "tracks.csv",
-                "landmarks.csv",
-                "angles.csv",
-                "steps.csv",
-                "cycles.csv",
-                "moves.csv",
-                "pose.npz",
-                "body.toml",
-            },
-        ),
+        ("pose", WITH_POSES),
     ],
 )
 def test_a_run_that_ends_earlier_leaves_what_it_wrote(
