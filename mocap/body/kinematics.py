@@ -72,6 +72,23 @@ def cones_of(body: Body, state: Array) -> tuple[Array, Array]:
     return start, end
 
 
+def distance_of_lines(body: Body, ends: tuple[Array, Array], origins: Array, directions: Array) -> Array:
+    """How far lines pass outside every flesh cone, (N, K) m, negative through it.
+
+    ends : of the cones, as `cones_of` has them.  origins : (3,) or (N, 3) m.  directions : (N, 3), unit length.
+    """
+    sight = directions[:, None]
+    # Seen along a line it is a point, and the axes are segments in a plane.
+    a, b = (one[None] - np.reshape(origins, (-1, 1, 3)) for one in ends)
+    a = a - (a * sight).sum(axis=2, keepdims=True) * sight
+    b = b - (b * sight).sum(axis=2, keepdims=True) * sight
+    ab = b - a
+    share = np.clip(-(a * ab).sum(axis=2) / np.maximum((ab * ab).sum(axis=2), 1e-12), 0.0, 1.0)
+    radii = body.cones.radii
+    own_radius = (1.0 - share) * radii[:, 0] + share * radii[:, 1]
+    return np.asarray(np.linalg.norm(a + share[:, :, None] * ab, axis=2) - own_radius)
+
+
 def cones_of_particles(body: Body, states: Array, which: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Ends of some of the flesh cones of states (N, D): start and end (N, K', 3) m, world.  which : (K,) bool."""
     s = np.ascontiguousarray(states, dtype=np.float64)

@@ -128,12 +128,6 @@ class KeypointEvidence:
             0
         ]
 
-    def unexplained_share(self, state: Array) -> float:
-        """Share of the keypoints that lie far from the body's."""
-        limit = 0.5 * self.search.settings.scale**2
-        n_views = self.views.n_views
-        return float((self.search.costs(state[None])[0] > 0.5 * limit * n_views)[n_views > 0].mean())
-
     def limb_terms(self, state: Array) -> list[Bonus]:
         """Keypoints have no other word for a limb than their likelihood."""
         return []

@@ -133,7 +133,11 @@ class StartSettings(_Strict):
     108,000. With 60,000 such a clip takes 2.1 s instead of 3.0, but one of 18 pairs of frames of development sessions
     was started worse (51 mm instead of 34)."""
     crowded_share: float = 0.4
-    """Share of a hull's surface that the body leaves unexplained, from which it holds much else than the person."""
+    """Share of a hull's surface that the body leaves unexplained, from which it holds much else than the person, if the
+    silhouettes do too."""
+    crowded_outline_share: float = 0.25
+    """Share of their outlines that lies beside the body then. Two cameras leave as much of a hull unexplained (0.45 to
+    0.52) as a chair (0.50), but hardly any outline: 0.01 to 0.10, as seven cameras do; with the chair it is 0.48."""
     crowded_outline_weight: float = 0.3
     """Largest weight of outlines there: a chair's outlines are not the person's. On a real person who sits still on a
     chair (426 frames, judged by eye) weights of 1 and 3 stretch a leg into the chair's (knee at 10 degrees); with 0.3

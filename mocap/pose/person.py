@@ -73,7 +73,9 @@ def start_person(
     searching = replace(tools, settings=replace(tools.settings, n_first_poses=n_first))
     with part("first poses"):
         search, tried = _most_promising(clip.with_tools(searching), usable, seed=seed)
-    is_crowded = search.evidence.unexplained_share(tried[0].state) > numbers.crowded_share
+    evidence = search.evidence
+    assert isinstance(evidence, VolumeEvidence)  # the clip is one of volumes
+    is_crowded = evidence.is_crowded(tried[0].state)
     gentle = numbers.crowded_outline_weight
     if is_crowded and tools.settings.outline_weight > gentle:
         # The silhouettes hold more than the person, a chair perhaps: their outlines are not all his.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Array, Mask
 from mocap.body.flesh import LookUpTable
+from mocap.body.kinematics import cones_of, distance_of_lines
 from mocap.body.model import Body
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.problem import StateLayout
@@ -329,6 +330,19 @@ class OutlineProblem:
             return 0.0, H, g
         x = np.ascontiguousarray(state, dtype=np.float64)
         return float(outline_equations(x, body.arrays, self.terms, H, g)), H, g
+
+    def unexplained_share(self, state: Array, distance_m: float) -> float:
+        """Share of the outline points that lie further than distance_m outside the flesh of a state (D,), 0 without.
+
+        Other than of a hull, few cameras leave no more of it.
+        """
+        o = self.outlines
+        if o.n_points == 0:
+            return 0.0
+        outside = distance_of_lines(self.body, cones_of(self.body, state), o.origins, o.directions).min(
+            axis=1
+        )
+        return float((outside > distance_m).mean())
 
 
 def _rays(origins: Array, directions: Array, normals: Array) -> Rays:
