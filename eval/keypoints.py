@@ -44,6 +44,7 @@ SCENES = ("keypoints_gesture_test", "keypoints_pair_test")
 FITTED_ON = ("steps", "furnished")
 METHODS = ("triangulation", "keypoints")
 METHODS_WITH_VOLUMES = ("volumes", "fused")
+WITH_DEPTH = "_depth"  # at the end of a method's name: with the depth maps of the session too
 CAMERAS = (2, 3, 4, 7)
 CAMERAS_WITH_VOLUMES = {
     **dict.fromkeys(("walk", "reach", "cross"), (4, 7)),
@@ -92,20 +93,22 @@ def _sources(session: str, work: Path) -> tuple[Path, Path]:
     return folder, folder / "keypoints"
 
 
-def session_folder(case: Case, work: Path) -> Path:
-    """A session of some cameras of a development session, with keypoints, and with videos where volumes need them."""
+def session_folder(case: Case, source: Path, keypoints: Path, work: Path) -> Path:
+    """A session of some cameras of `source`, with keypoints, and with videos (and depth) where a method needs them."""
     from mocap.io.calibration import read_calibration
 
-    has_videos = case.method in ("volumes", "fused")
-    folder = work / f"{case.session}_{case.cameras}_{'videos' if has_videos else 'keypoints'}"
-    source, keypoints = (path.resolve() for path in _sources(case.session, work))
+    has_videos = case.method.removesuffix(WITH_DEPTH) in METHODS_WITH_VOLUMES
+    has_depth = case.method.endswith(WITH_DEPTH)
+    kind = ("videos" if has_videos else "keypoints") + WITH_DEPTH * has_depth
+    folder = work / f"{case.session}_{case.cameras}_{kind}"
     folder.mkdir(parents=True, exist_ok=True)
     links = {"calibration.toml": source / "calibration.toml", "truth": source / "truth"}
     links |= {"keypoints": keypoints}
-    links |= {name: source / name for name in ("videos", "background") if has_videos}
+    wanted = ["videos", "background"] * has_videos + ["depth"] * has_depth
+    links |= {name: source / name for name in wanted if (source / name).exists()}
     for name, target in links.items():
         if not (folder / name).exists():
-            os.symlink(target, folder / name)
+            os.symlink(target.resolve(), folder / name)
     names = read_calibration(source / "calibration.toml").rig.names
     order = OF_RING if len(names) == len(OF_RING) else range(len(names))
     kept = [names[i] for i in sorted(list(order)[: case.cameras])]
@@ -113,12 +116,21 @@ def session_folder(case: Case, work: Path) -> Path:
     return folder
 
 
-def measure(case: Case, work: Path, frames: tuple[int, int] | None) -> dict[str, Any]:
-    """One run as a row."""
-    folder = session_folder(case, work)
+def measure(
+    case: Case,
+    sources: tuple[Path, Path],
+    work: Path,
+    frames: tuple[int, int] | None,
+    *,
+    resume: bool = False,
+) -> dict[str, Any]:
+    """One run as a row.  sources : folder of the session, and of its keypoints."""
+    folder = session_folder(case, *sources, work)
     begin = time.perf_counter()
     found, n_frames = (
-        _triangulated(folder, frames) if case.method == "triangulation" else _run(case, folder, frames)
+        _triangulated(folder, frames)
+        if case.method == "triangulation"
+        else _run(case, folder, frames, resume)
     )
     wall_s = time.perf_counter() - begin
     truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
@@ -126,12 +138,13 @@ def measure(case: Case, work: Path, frames: tuple[int, int] | None) -> dict[str,
     return {**row, **scores(found, truth, n_frames), "ms_per_frame": round(1000 * wall_s / n_frames, 1)}
 
 
-def _run(case: Case, folder: Path, frames: tuple[int, int] | None) -> tuple[list[Motion], int]:
+def _run(case: Case, folder: Path, frames: tuple[int, int] | None, resume: bool) -> tuple[list[Motion], int]:
     from mocap.pipeline.config import load_config
     from mocap.pipeline.run import run_session
     from mocap.pose.result import motion_of
 
-    kind = {"volumes": "voxels"}.get(case.method, case.method)
+    method = case.method.removesuffix(WITH_DEPTH)
+    kind = {"volumes": "voxels"}.get(method, method)
     config = load_config("default", ("output.formats=[]", f"observation={kind}"))
     result = run_session(
         folder,
@@ -139,7 +152,7 @@ def _run(case: Case, folder: Path, frames: tuple[int, int] | None) -> tuple[list
         config=config,
         seed=case.seed,
         frames=frames,
-        resume=case.method in METHODS_WITH_VOLUMES,
+        resume=resume,
     )
     fps = result.session.fps
     return [motion_of(p, fps) for p in result.poses], len(result.session.frames)
@@ -255,7 +268,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     def rows() -> Iterator[dict[str, Any]]:
         for case in wanted:
-            row = measure(case, options.work, frames)
+            sources = _sources(case.session, options.work)
+            row = measure(case, sources, options.work, frames, resume=options.fused)
             print(", ".join(f"{k} {v}" for k, v in row.items()), flush=True)
             yield {field: row[field] for field in fields}
 

@@ -38,3 +38,15 @@ def coarse_flesh() -> Flesh:
     from flesh_voxels import make_flesh
 
     return make_flesh("anthropometric", 1.74, 0.04)
+
+
+@pytest.fixture
+def open3d() -> None:
+    """Skips the test without Open3D, which is an extra that no default installation has."""
+    from mocap.errors import MissingExtra
+    from mocap.volume._open3d import require_open3d
+
+    try:
+        require_open3d("this test")
+    except MissingExtra as error:
+        pytest.skip(error.message)

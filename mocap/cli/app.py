@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli import calibrate, cluster, compare, edit, init, join, live, run, sync, synth, tools
+from mocap.cli import calibrate, cluster, compare, depth, edit, init, join, live, run, sync, synth, tools
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
 from mocap.portable import Stopped, find_kernel_cache, stoppable
@@ -30,6 +30,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "calibrate": calibrate.calibrate,
         "sync": sync.sync,
         "convert-calibration": tools.convert_calibration,
+        "depth": depth.depth,
     },
     "Run": {
         "run": run.run,

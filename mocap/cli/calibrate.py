@@ -131,6 +131,17 @@ def calibrate(
             "--from-frame", min=1, help="Of the session, from which on --moved CAM stands still again."
         ),
     ] = None,
+    register: Annotated[
+        Path | None,
+        typer.Option(
+            "--register",
+            metavar="SESSION",
+            help="Instead: one depth camera, by the room that other depth cameras of a session measure too.",
+        ),
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option("--camera", metavar="CAM", help="With --register: the depth camera.")
+    ] = None,
     picture: Annotated[
         Path | None,
         typer.Option("--picture", help="With --refine: PNG of what was moved, and what it gained."),
@@ -141,7 +152,8 @@ def calibrate(
     --refine SESSION corrects the places of a calibration that is off by some degrees and centimetres, from people who
     walk in the session's clips, and writes a new file. With --moved CAM --from-frame N it finds one camera again that
     was pushed in mid-take, and session.toml says from which frame on the new file holds. --place SESSION finds the
-    places from nothing, by one person who walks; lenses must be known.
+    places from nothing, by one person who walks; lenses must be known. --register SESSION --camera CAM finds one depth
+    camera by the room that others measure too.
     """
     of_board: dict[str, object] = {"BOARD": clips, "--floor-frame": floor_frame, "--points": points}
     of_lenses: dict[str, object] = {"--board": board, "--square-mm": square_mm, "--lenses": lenses}
@@ -151,6 +163,20 @@ def calibrate(
         "--picture": picture,
     }
     of_move = {"--moved": moved, "--from-frame": from_frame}
+    of_room = {"--register": register, "--camera": camera}
+    if register is not None or camera is not None:
+        strange = of_board | of_lenses | {"--refine": refine, "--place": place} | of_session
+        _check_options(
+            {k: v for k, v in strange.items() if k != "--calibration"},
+            tuple(of_room),
+            "--register",
+            "leave it out",
+            of_room,
+        )
+        assert register is not None  # the check above has seen to it
+        assert camera is not None
+        _register(register, out, camera, calibration)
+        return
     if refine is not None and (moved is not None or from_frame is not None):
         strange = (
             of_board | of_lenses | {"--place": place, "--calibration": calibration, "--height-m": height_m}
@@ -202,7 +228,7 @@ def _check_options(
         raise MocapError(
             f"{', '.join(missing)} must be given",
             remedy="mocap calibrate CLIPS --board charuco:8x6 --square-mm 46 --floor-frame 12, or without a board "
-            "mocap calibrate --refine SESSION or --place SESSION --height-m 1.8",
+            "mocap calibrate --refine SESSION, --place SESSION --height-m 1.8 or --register SESSION --camera CAM",
         )
 
 
@@ -258,6 +284,27 @@ def _refine_moved(
         typer.echo(f"Picture in {picture}")
     typer.echo(
         f"Written: {out}, and {settings}: it holds from frame {from_frame} on. Run it: mocap run {session}"
+    )
+
+
+def _register(session: Path, out: Path, camera: str, calibration: Path | None) -> None:
+    """A depth camera of a session, found by the room."""
+    from mocap.pipeline.measured import register_session, write_registered
+    from mocap.pipeline.refine import check_new
+
+    check_new(out)
+    with progress_bar() as progress:
+        registered = register_session(session, camera, calibration=calibration, progress=progress)
+    found = registered.found
+    write_registered(out, registered)
+    x, y, z = found.camera.center
+    typer.echo(
+        f"{camera}: at ({x:.2f}, {y:.2f}, {z:.2f}) m, {1000 * found.shift_m:.0f} mm and {found.turn_deg:.1f} degrees "
+        f"from where it was said to be"
+    )
+    typer.echo(
+        f"{found.shared_m2:.2f} m2 above the floor are measured by others too; surfaces are "
+        f"{1000 * found.residual_m:.1f} mm apart; written to {out}. Use it: mocap run {session} --calibration {out}"
     )
 
 

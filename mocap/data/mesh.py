@@ -1,4 +1,4 @@
-"""A surface of triangles with a colour at every corner."""
+"""Surfaces of triangles, and clouds of points, with a colour at every corner and point."""
 
 from __future__ import annotations
 
@@ -16,4 +16,12 @@ class ColouredMesh:
 
     vertices: Array
     faces: NDArray[np.int64]
+    rgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class ColouredCloud:
+    """points : (N, 3) m, world.  rgb : (N, 3) uint8, sRGB."""
+
+    points: Array
     rgb: NDArray[np.uint8]

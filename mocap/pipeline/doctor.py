@@ -32,6 +32,7 @@ _EXTRAS = {
     "usd": ("pxr", "USD files"),
     "sound": ("av", "`mocap sync --by sound`"),
     "view": ("rerun", "scene.rrd and `mocap view`"),
+    "open3d": ("open3d", "`mocap depth --what room` and `mocap calibrate --register`"),
     "cluster": ("distributed", "`mocap sweep` and `mocap batch` with several workers"),
 }
 _CODECS = (("mp4v", ".mp4"), ("MJPG", ".avi"))

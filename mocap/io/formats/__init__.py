@@ -7,6 +7,7 @@ from mocap.io.formats.bids import write_bids_motion
 from mocap.io.formats.bone_names import BONE_NAMES, BoneNames, renamed
 from mocap.io.formats.bvh import write_bvh
 from mocap.io.formats.c3d import Event, write_c3d
+from mocap.io.formats.cloud import write_cloud
 from mocap.io.formats.gltf import write_glb
 from mocap.io.formats.marker_names import MARKER_NAMES, MarkerNames, marker_names
 from mocap.io.formats.mesh import write_mesh
@@ -40,6 +41,7 @@ __all__ = [
     "write_bids_motion",
     "write_bvh",
     "write_c3d",
+    "write_cloud",
     "write_glb",
     "write_mesh",
     "write_mot",

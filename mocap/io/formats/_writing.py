@@ -23,6 +23,10 @@ Y_UP_FROM_WORLD: Array = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 
 # up, such as Blender, undo it when they read BVH or glTF, and are then in our world.
 ANIMATION_FROM_WORLD: Array = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
+# Properties of vertices in PLY files.
+PLY_POSITION = "property float x\nproperty float y\nproperty float z\n"
+PLY_COLOUR = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:

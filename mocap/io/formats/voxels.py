@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Hull
-from mocap.io.formats._writing import ANIMATION_FROM_WORLD, replacing, write_bytes
+from mocap.io.formats._writing import ANIMATION_FROM_WORLD, PLY_COLOUR, PLY_POSITION, replacing, write_bytes
 from mocap.io.formats.gltf import floats, glb_container
 
 Array = NDArray[np.float64]
@@ -66,8 +66,6 @@ def write_voxels_ply(path: Path, hull: Hull, *, cubes: bool = False) -> None:
     """
     size = hull.grid.voxel_size_m
     comment = f"comment mocap hull, metres, z up, voxels of {size:g} m\n"
-    colour = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
-    position = "property float x\nproperty float y\nproperty float z\n"
     if cubes:
         corners, _, rgb = hull_quads(hull)
         vertices = np.empty(4 * len(corners), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
@@ -76,7 +74,7 @@ def write_voxels_ply(path: Path, hull: Hull, *, cubes: bool = False) -> None:
         faces = np.empty(len(corners), dtype=[("n", "u1"), ("corner", "<i4", 4)])
         faces["n"] = 4
         faces["corner"] = np.arange(4 * len(corners)).reshape(-1, 4)
-        header = f"element vertex {len(vertices)}\n{position}{colour}"
+        header = f"element vertex {len(vertices)}\n{PLY_POSITION}{PLY_COLOUR}"
         header += f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
         body = vertices.tobytes() + faces.tobytes()
     else:
@@ -85,7 +83,7 @@ def write_voxels_ply(path: Path, hull: Hull, *, cubes: bool = False) -> None:
         points["xyz"] = outer.centers
         points["rgb"] = hull_colours(outer)
         points["views"] = outer.n_views
-        header = f"element vertex {len(points)}\n{position}{colour}property uchar n_views\n"
+        header = f"element vertex {len(points)}\n{PLY_POSITION}{PLY_COLOUR}property uchar n_views\n"
         body = points.tobytes()
     head = f"ply\nformat binary_little_endian 1.0\n{comment}{header}end_header\n"
     write_bytes(path, head.encode("ascii") + body)
