@@ -58,7 +58,7 @@ def open_run(out: Path, session: Path) -> RunResult:
 def rewrite_report(out: Path, session: Path) -> Path:
     """report.html of a finished run, written again from its tables and its store; gives the file."""
     path = out / "report.html"
-    with sole_use(out, f"mocap report {out}"), writing(path):
+    with sole_use(_folder_of_run(out), f"mocap report {out}"), writing(path):
         write_run_report(open_run(out, session), path)
     return path
 
@@ -77,7 +77,7 @@ def rewrite_scene(
     every layer are shown; None = in none.
     """
     target = out / "scene.rrd" if path is None else path
-    with sole_use(out, f"mocap view {out}"):
+    with sole_use(_folder_of_run(out), f"mocap view {out}"):
         run = open_run(out, session)
         check_cameras(run.found, pictures, "--pictures")
         layers_of = None if particles is None else particle_layers(run, particles)
@@ -89,7 +89,7 @@ def write_overlays(
     out: Path, session: Path, *, cameras: Sequence[str] | None = None, progress: Progress = no_progress
 ) -> list[Path]:
     """A video per camera of a finished run with the bodies drawn in, OUT/overlay_CAMERA.mp4; gives the files."""
-    with sole_use(out, f"mocap report {out} --video"), writing(out):
+    with sole_use(_folder_of_run(out), f"mocap report {out} --video"), writing(out):
         found = open_run(out, session).found
         check_cameras(found, cameras, "--cameras")
         return overlay_videos(found, out, cameras=cameras, progress=progress)
@@ -183,9 +183,20 @@ def read_record(out: Path) -> RunRecord:
             remedy="run the session again with this version",
         ) from error
     except (MocapError, ValueError, TypeError, IndexError, OverflowError) as error:
-        raise MocapError(
-            "the folder holds no result of a run", path=path, remedy="run `mocap run SESSION -o OUT` first"
-        ) from error
+        raise _no_result(path) from error
+
+
+def _folder_of_run(out: Path) -> Path:
+    """The folder itself. Raises MocapError when it is not there: a lock cannot be kept in it then."""
+    if not out.is_dir():
+        raise _no_result(out / "run.json")
+    return out
+
+
+def _no_result(path: Path) -> MocapError:
+    return MocapError(
+        "the folder holds no result of a run", path=path, remedy="run `mocap run SESSION -o OUT` first"
+    )
 
 
 def _check_not_joined(record: RunRecord, out: Path) -> None:

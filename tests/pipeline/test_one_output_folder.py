@@ -20,7 +20,7 @@ from mocap.io.store import StageStore
 from mocap.pipeline import inputs, lock, scene_frames
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.export import export_run
-from mocap.pipeline.finished import open_run, read_record, rewrite_report, rewrite_scene
+from mocap.pipeline.finished import open_run, read_record, rewrite_report, rewrite_scene, write_overlays
 from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.lock import LOCK_NAME, sole_use
 from mocap.pipeline.publish import published
@@ -281,6 +281,15 @@ def test_a_second_command_is_told_who_works_there(session: Path, out: Path) -> N
             assert f"process {os.getpid()} on" in caught.value.message
     assert names(out) == before
     run_session(session, out, config=config("bvh"), resume=True)
+
+
+@pytest.mark.parametrize("again", [rewrite_report, rewrite_scene, write_overlays])
+def test_a_folder_that_is_not_there_holds_no_run(
+    again: Callable[[Path, Path], object], session: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(MocapError, match="holds no result of a run"):
+        again(tmp_path / "nothere", session)
+    assert not (tmp_path / "nothere").exists()
 
 
 def test_another_process_is_kept_out_until_it_ends_and_its_file_is_taken_over(tmp_path: Path) -> None:
