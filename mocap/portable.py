@@ -103,6 +103,23 @@ def find_kernel_cache() -> None:
         atexit.register(shutil.rmtree, place, ignore_errors=True)
 
 
+@contextmanager
+def utf8_name(path: Path) -> Iterator[str]:
+    """The name of a file, or of one that is to be written, for a library that takes names to be UTF-8, as OpenCV does:
+    of others it does not find the file, or ends the process.
+
+    Where a name is written otherwise (ASCII and Latin locales, folders out of old archives) it is a link, which may go
+    as soon as the file is open.
+    """
+    if sys.platform == "win32" or os.fsencode(path) == str(path).encode("utf-8", "replace"):
+        yield str(path)
+        return
+    with tempfile.TemporaryDirectory(prefix="mocap-") as folder:
+        link = Path(folder) / ("file" + path.suffix if path.suffix.isascii() else "file")
+        link.symlink_to(path.resolve())
+        yield str(link)
+
+
 def _user_cache_dir() -> Path:
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", str(Path.home())))

@@ -8,11 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from marker_world import marker_world, write_marker_session
 
 import mocap
 from mocap import portable
+from mocap.io.video import clip_info
 
 BLOCKED = ("resource", "fcntl", "pwd", "grp", "termios")
 
@@ -75,6 +78,26 @@ def test_a_file_is_locked_once(tmp_path: Path) -> None:
         assert portable.lock_file(two) is False
     with (tmp_path / "a").open("w") as three:
         assert portable.lock_file(three)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are Unicode there")
+def test_a_video_whose_name_is_no_utf_8_is_written_and_read(tmp_path: Path) -> None:
+    """OpenCV would end the process: a Latin name, or any with an umlaut under an ASCII locale."""
+    path = tmp_path / os.fsdecode(b"\xe4.mp4")
+    with portable.utf8_name(path) as name:
+        writer = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
+    for _ in range(3):
+        writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    found = clip_info(path)
+    assert (found.n_frames, found.size) == (3, (64, 48))
+    assert not Path(name).parent.exists()
+
+
+def test_a_name_in_utf_8_stays_what_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "\u00e4.mp4"
+    with portable.utf8_name(path) as name:
+        assert name == str(path)
 
 
 def test_a_run_without_the_modules_of_one_system(tmp_path: Path) -> None:

@@ -157,9 +157,11 @@ def _rig(path: Path) -> CameraRig:
 def _hulls(estimate: Side, truth: Side, options: CompareOptions) -> StageStore | None:
     """The stage products of a run that is scored against a truth of ours frame by frame; else None.
 
-    Raises MocapError where they are of another run than the tables.
+    Raises MocapError where a side is a folder with store or tables of another run.
     """
+    for side in (estimate, truth):
+        if side.folder is not None:
+            check_one_run(side.folder)
     if estimate.folder is None or truth.folder is None or options.frame_offset or options.time_offset_s:
         return None
-    check_one_run(estimate.folder)
     return StageStore(estimate.folder / "store.zarr")

@@ -1,4 +1,5 @@
-"""Picture headers: the size of a picture from its first bytes: PNG, JPEG, BMP, TIFF, WebP, PGM, PPM."""
+"""Picture headers: the size of a picture from its first bytes: PNG, JPEG, BMP, TIFF, WebP, PGM, PPM; and whether the
+chunks of a PNG lie inside it."""
 
 from __future__ import annotations
 
@@ -15,6 +16,8 @@ _JPEG_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
 _TIFF_NUMBERS = {1: "B", 3: "H", 4: "I"}
 _TIFF_MOST_TAGS = 4096
+_PNG_BEGIN = b"\x89PNG\r\n\x1a\n"
+_PNG_AROUND_CHUNK = 12  # bytes of length, name and checksum
 
 
 def size_in_header(data: bytes) -> Size | None:
@@ -29,6 +32,24 @@ def size_in_header(data: bytes) -> Size | None:
             except (struct.error, IndexError, ValueError):
                 return None
     return None
+
+
+def has_its_chunks(data: bytes) -> bool:
+    """Whether all chunks of a PNG lie inside the file, as their lengths say; True for other kinds.
+
+    OpenCV makes room for a chunk before it looks whether it is there: a wrong length costs 4 GB and 20 s.
+    data : the whole file.
+    """
+    at = len(_PNG_BEGIN) if data.startswith(_PNG_BEGIN) else len(data)
+    while at < len(data):
+        if at + _PNG_AROUND_CHUNK > len(data):
+            return False
+        (length,) = struct.unpack_from(">I", data, at)
+        is_last = data[at + 4 : at + 8] == b"IEND"
+        at += _PNG_AROUND_CHUNK + length
+        if is_last:  # what comes behind is not looked at
+            break
+    return at <= len(data)
 
 
 def _png(data: bytes) -> Size | None:
@@ -98,7 +119,7 @@ def _pnm(data: bytes) -> Size | None:
 
 
 _READERS: tuple[tuple[bytes, Callable[[bytes], Size | None]], ...] = (
-    (b"\x89PNG\r\n\x1a\n", _png),
+    (_PNG_BEGIN, _png),
     (b"\xff\xd8\xff", _jpeg),
     (b"BM", _bmp),
     (b"II*\0", _tiff),

@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 from mocap.data import Camera, CameraRig
 from mocap.data.depth import DepthUnits
 from mocap.errors import MocapError
-from mocap.files import array_names, load_arrays, read_head
+from mocap.files import array_names, check_regular, load_arrays, read_head
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
-from mocap.io._picture_header import size_in_header
+from mocap.io._picture_header import has_its_chunks, size_in_header
 from mocap.io.clip_frames import ClipFrames
+from mocap.portable import utf8_name
 
 # The same for OpenCV's own warnings about files that it cannot open.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
@@ -657,7 +658,7 @@ def _read_picture(path: Path, camera: str, frame: int, size: Size | None) -> NDA
     """
     data = _bytes_of_picture(path, camera, frame, PICTURE_LIMIT_BYTES)
     promised = size_in_header(data)
-    if promised is None:
+    if promised is None or not has_its_chunks(data):
         raise _unreadable("picture", path, camera, frame)
     _check_promise(promised, size, path, camera, frame)
     try:
@@ -750,9 +751,9 @@ def _empty(path: Path, camera: str) -> MocapError:
 
 
 def _open_capture(path: Path, camera: str) -> cv2.VideoCapture:
-    if not path.is_file():
+    if not path.exists():
         raise MocapError("no such video", path=path, camera=camera or None, remedy="check the session folder")
-    if path.stat().st_size == 0:
+    if check_regular(path, "the video") == 0:
         raise _empty(path, camera)
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise MocapError(
@@ -763,7 +764,8 @@ def _open_capture(path: Path, camera: str) -> cv2.VideoCapture:
         )
     try:
         # One decoder thread per stream is enough as the streams are decoded side by side.
-        capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+        with utf8_name(path) as name:
+            capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
     except cv2.error as error:
         raise _unreadable("video", path, camera) from error
     if not capture.isOpened():
@@ -776,8 +778,9 @@ def _size_of(capture: cv2.VideoCapture) -> Size:
 
 
 def _stamp(path: Path, camera: str) -> tuple[int, int]:
-    if not path.is_file():
+    if not path.exists():
         raise MocapError("no such video", path=path, camera=camera or None, remedy="check the session folder")
+    check_regular(path, "the video")
     stat = path.stat()
     return stat.st_size, stat.st_mtime_ns
 

@@ -16,6 +16,7 @@ from mocap.errors import MocapError
 from mocap.io.session.reading import pictures_of
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import body_parts, rows_at
+from mocap.portable import utf8_name
 from mocap.progress import Progress, no_progress
 from mocap.view import draw_body, draw_label, draw_skeleton
 
@@ -78,7 +79,8 @@ def overlay_videos(
 
 def _opened(stack: ExitStack, path: Path, fps: float, size: tuple[int, int]) -> Any:
     """A video to write into, released with the stack."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*_CODEC), fps, size)
+    with utf8_name(path) as name:
+        writer = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*_CODEC), fps, size)
     stack.callback(writer.release)
     if not writer.isOpened():
         raise MocapError(

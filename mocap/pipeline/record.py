@@ -39,8 +39,9 @@ class RunRecord:
 
     kind : `voxels` or `markers`, what poses were found from.  until : the word it ended with.  stages : those it went
     through, in order.  product_keys : product in the store -> the key that it was made under.  scores : as `mocap
-    eval`, None without truth.  files : the outputs that were written.  removed : those of an earlier run that were not
-    written anew.  outputs_s : for tables, exports and report.
+    eval`, None without truth.  files : the outputs that were written.  hashes : those that are read again -> what they
+    hold, as of `mocap.products.one_run`.  removed : those of an earlier run that were not written anew.  outputs_s :
+    for tables, exports and report.
     """
 
     session: str
@@ -58,6 +59,7 @@ class RunRecord:
     warnings: tuple[str, ...]
     scores: dict[str, Any] | None
     files: tuple[str, ...] = ()
+    hashes: Mapping[str, str] = field(default_factory=dict)
     removed: tuple[str, ...] = ()
     outputs_s: float = 0.0
     peak_memory_mb: float | None = None
@@ -196,6 +198,7 @@ def record_to_json(record: RunRecord) -> dict[str, Any]:
         "total_s": round(sum(timings_s.values()), 3),
         "peak_memory_mb": record.peak_memory_mb,
         "files": list(record.files),
+        "file_hashes": dict(record.hashes),
         "removed": list(record.removed),
         "warnings": list(record.warnings),
         "numbers": record.numbers,
@@ -232,6 +235,7 @@ def record_from_json(about: Mapping[str, Any]) -> RunRecord:
         warnings=tuple(about["warnings"]),
         scores=about["scores"],
         files=tuple(about["files"]),
+        hashes=dict(about.get("file_hashes", {})),
         removed=tuple(about["removed"]),
         outputs_s=float(walls[OUTPUTS]["wall_s"]),
         peak_memory_mb=about["peak_memory_mb"],

@@ -47,6 +47,7 @@ from mocap.products import hulls as hulls_product
 from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
+from mocap.products.one_run import hashes_in
 from mocap.products.poses import stored_poses
 from mocap.profiling import part
 from mocap.progress import Progress, no_progress
@@ -175,6 +176,7 @@ def publish_run(
         record = replace(
             record,
             files=tuple(sorted(files)),
+            hashes=hashes_in(folder),
             removed=tuple(sorted(outputs_in(out) - files)),
             outputs_s=time.perf_counter() - started,
             peak_memory_mb=peak_memory_mb(),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mocap.errors import MocapError
 from mocap.io.session import open_session
 from mocap.io.video import clip_info, iter_clip
+from mocap.portable import utf8_name
 from mocap.synth.scene import Scene, load_scene
 
 Image = NDArray[np.uint8]
@@ -116,7 +117,9 @@ def _write_sheet(rows: dict[str, list[Any]], words: list[str], path: Path, width
     check_picture_name(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet = np.vstack(strips)
-    if not cv2.imwrite(str(path), sheet[..., ::-1]):
+    with utf8_name(path) as name:
+        is_written = cv2.imwrite(name, sheet[..., ::-1])
+    if not is_written:
         raise MocapError("the picture cannot be written", path=path, remedy="check that the disk has space")
     return path
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.errors import MocapError
+from mocap.portable import utf8_name
 from mocap.synth.depth import DepthConfig, measured_depth
 from mocap.synth.render import GAMMA, CameraView, PosedScene, make_sensor
 from mocap.synth.views import Witness
@@ -198,7 +199,8 @@ class _Clip:
         if container != "mp4":
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+        with utf8_name(path) as name:
+            self._writer = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
         if not self._writer.isOpened():
             raise MocapError(
                 "this OpenCV cannot write mp4v video", path=path, remedy="reinstall opencv-python-headless"
@@ -221,7 +223,9 @@ def _write_picture(
     path: Path, picture: NDArray[np.uint8] | NDArray[np.uint16], options: list[int] | None = None
 ) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), picture, options or []):
+    with utf8_name(path) as name:
+        is_written = cv2.imwrite(name, picture, options or [])
+    if not is_written:
         raise MocapError("the picture cannot be written", path=path, remedy="check that the disk has space")
 
 

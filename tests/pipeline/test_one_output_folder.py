@@ -239,6 +239,18 @@ def test_store_and_tables_of_different_runs_are_not_mixed(
     COMMANDS[command](out, session, tmp_path)
 
 
+def test_a_table_that_the_run_has_not_written_is_not_scored(session: Path, out: Path) -> None:
+    path = out / "landmarks.csv"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    for estimate, truth in ((out, session), (session, out)):
+        with pytest.raises(MocapError, match=r"landmarks\.csv: not what the run in run\.json has written"):
+            compare(estimate, truth)
+    run_session(session, out, config=config("bvh", "report"), resume=True)
+    compare(out, session)
+
+
 def test_products_of_a_run_before_are_not_exported_after_a_shorter_one(
     session: Path, out: Path, tmp_path: Path
 ) -> None:

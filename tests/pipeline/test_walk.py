@@ -179,6 +179,23 @@ def test_a_run_equals_its_stages_one_by_one(tmp_path: Path, tmp_path_factory: py
             assert stores[0].reader(product).key == stores[1].reader(product).key
 
 
+@pytest.mark.parametrize("lost", [("segment",), ("occluders",), ("segment", "carve"), ("segment", "track")])
+def test_a_run_goes_on_from_whatever_products_a_kill_has_left(
+    lost: Sequence[str], tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Products of stages that walk together are put in place one after the other, the last stage's first."""
+    session = small_session(tmp_path_factory.getbasetemp())
+    config, out = load_config("default", PLAIN), tmp_path / "out"
+    run_session(session, out, config=config, until="track", n_threads=1)
+    store = StageStore(out / "store.zarr")
+    stages = CHAINS["voxels"][:-1]
+    before = {product: content(store, product) for stage in stages for product in stage.products}
+    for product in (product for stage in stages if stage.name in lost for product in stage.products):
+        store.remove(product)
+    run_session(session, out, config=config, until="track", n_threads=1, resume=True)
+    assert {product: content(store, product) for product in before} == before
+
+
 def test_ahead_gives_items_in_order_and_errors_in_their_place() -> None:
     def items() -> Iterator[int]:
         yield from range(5)

@@ -125,7 +125,7 @@ def find_calibration(root: Path | str) -> Path:
     Raises MocapError when there is none, or several and none is called calibration.toml.
     """
     root = Path(root)
-    if (root / "calibration.toml").is_file():
+    if (root / "calibration.toml").exists():
         return root / "calibration.toml"
     found = calibration_candidates(root)
     if not found:

@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mocap.data import Camera
 from mocap.errors import MocapError
 from mocap.io.video import iter_clip
+from mocap.portable import utf8_name
 
 Image = NDArray[np.uint8]
 
@@ -157,7 +158,8 @@ def _open(source: str) -> cv2.VideoCapture:
     options = [
         cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_MS, cv2.CAP_PROP_N_THREADS, 1,
     ]  # fmt: skip
-    return cv2.VideoCapture(source, cv2.CAP_FFMPEG, options)
+    with utf8_name(Path(source)) if Path(source).is_file() else nullcontext(source) as name:
+        return cv2.VideoCapture(name, cv2.CAP_FFMPEG, options)
 
 
 def kept_shots() -> deque[Shot]:

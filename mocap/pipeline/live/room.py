@@ -22,6 +22,7 @@ from mocap.io.session import Session
 from mocap.io.session.sources import sources_in
 from mocap.pipeline.live.engine import ENDLESS
 from mocap.pipeline.live.pairing import Pairing, PictureSet
+from mocap.portable import utf8_name
 
 Image = NDArray[np.uint8]
 
@@ -127,7 +128,9 @@ def learn_room(
             old.unlink()
         for i, picture in enumerate(own[:: -(-len(own) // _MOST_PICTURES)]):
             bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-            if not cv2.imwrite(str(folder / f"{i:03d}.png"), bgr, _FASTEST_PNG):
+            with utf8_name(folder / f"{i:03d}.png") as place:
+                is_written = cv2.imwrite(place, bgr, _FASTEST_PNG)
+            if not is_written:
                 raise MocapError(
                     "a picture could not be written", path=folder, remedy="make room on the disk"
                 )
@@ -145,12 +148,11 @@ class Recording:
         self._rig = session.rig
         folder = session.root / "videos"
         folder.mkdir(parents=True, exist_ok=True)
-        self._writers = {
-            camera.name: cv2.VideoWriter(
-                str(folder / f"{camera.name}.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), session.fps, camera.size
-            )
-            for camera in session.rig
-        }
+        self._writers = {}
+        for camera in session.rig:
+            with utf8_name(folder / f"{camera.name}.mp4") as name:
+                writer = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*"mp4v"), session.fps, camera.size)
+            self._writers[camera.name] = writer
         if not all(writer.isOpened() for writer in self._writers.values()):
             raise MocapError("the recording cannot be written", path=folder, remedy="check the folder")
 

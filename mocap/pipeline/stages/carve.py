@@ -342,7 +342,9 @@ CARVE = Stage(
     work=FrameWork(_reads, _start, _step, _finish, finds=("hull",)),
     report=carve_report,
     needs=("segment", "occluders"),
-    needs_whole=("occluders",),
+    # Of the masks, which cameras are never without somebody. Both are there in a run that computes all; a kill may
+    # have left the second alone.
+    needs_whole=("segment", "occluders"),
     sections=("volume",),
     facts=("room_bounds_m", "depth"),
 )
