@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
@@ -33,12 +32,10 @@ def check_one_run(out: Path, *needed: str) -> None:
     elsewhere or damaged. A folder without run.json holds nothing that could be mixed up.
     needed : products that must be the run's own.
     """
-    about = _about(out)
-    if about is not None:
-        _check_tables(out, about.get("file_hashes", {}))
+    _check_tables(out)
     if not needed and not (out / "store.zarr").is_dir():
         return
-    keys = None if about is None else {str(name): str(key) for name, key in about["product_keys"].items()}
+    keys = _product_keys(out)
     if keys is None and needed:
         raise MocapError(
             "the folder holds no result of a run",
@@ -68,7 +65,13 @@ def _check_products(out: Path, keys: dict[str, str], needed: Sequence[str]) -> N
         )
 
 
-def _check_tables(out: Path, hashes: Mapping[str, str]) -> None:
+def _check_tables(out: Path) -> None:
+    try:
+        hashes: Mapping[str, str] = dict(
+            json.loads((out / "run.json").read_text(encoding="utf-8"))["file_hashes"]
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return  # no run, or one of a version that did not note them
     changed = [
         name for name, known in hashes.items() if (out / name).is_file() and _hash(out / name) != known
     ]
@@ -80,14 +83,11 @@ def _check_tables(out: Path, hashes: Mapping[str, str]) -> None:
         )
 
 
-def _about(out: Path) -> dict[str, Any] | None:
-    """What run.json says of products and files, None without a run."""
+def _product_keys(out: Path) -> dict[str, str] | None:
+    """Product -> key that the run was made from, None without a run."""
     try:
         about = json.loads((out / "run.json").read_text(encoding="utf-8"))
-        return {
-            "product_keys": dict(about["product_keys"]),
-            "file_hashes": dict(about.get("file_hashes", {})),
-        }
+        return {str(product): str(key) for product, key in about["product_keys"].items()}
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
