@@ -69,7 +69,7 @@ PROMISES = (
     Promise(
         "one-folder",
         "All outputs in a folder are of one run, and one command at a time works there",
-        "formats left out, shorter runs, failed and killed publications, mixed stores, tables of others, locks held and left behind",
+        "formats left out, shorter runs, failed and killed publications, mixed stores and tables, locks held and left",
         ("tests/pipeline/test_one_output_folder.py",),
     ),
     Promise(
