@@ -162,6 +162,18 @@ class Body:
         return np.arange(self.layout.n_columns) < len(_ROOT_COLUMNS)
 
     @cached_property
+    def is_fine(self) -> NDArray[np.bool_]:
+        """Columns that turn a piece of a part and no part as a whole, (D,): those of feet and hands.
+
+        So little flesh hangs on them that a search of whole poses is the poorer for every one; a refinement sets them.
+        """
+        fine = np.zeros(self.layout.n_columns, dtype=np.bool_)
+        for d, column in enumerate(self.dof_column):
+            is_moved = self.moves[self.cones.joint, d]
+            fine[column] = not set(self.cones.part[is_moved]) - set(self.cones.part[~is_moved])
+        return fine
+
+    @cached_property
     def yaw_column(self) -> int | None:
         """Column that turns the whole body about the vertical: the first circular one; None where nothing turns."""
         columns = np.flatnonzero(self.layout.is_circular)

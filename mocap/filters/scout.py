@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,31 +58,36 @@ def scout_limbs(
     rng: np.random.Generator,
     bonus: Bonus | None = None,
     look_at: Sequence[int] = (),
+    is_drawn: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, ScoutInfo]:
     """Search anew for the limbs of a state (D,) that fit badly; returns the state, improved or unchanged.
 
     bonus : (particles (N, D), parts of the limb) -> (N,) nats, evidence for a limb beyond the likelihood, such as
     data that nothing explains yet; 0 for the given state.  look_at : limbs, by their first part, that are looked at
-    though they fit. Of all limbs looked at, those that gain most at first sight are followed. A global likelihood (one
-    column) says nothing about limbs: the state comes back unchanged.
+    though they fit.  is_drawn : (D,) columns that are searched in, None = all; others stay. Of all limbs looked at,
+    those that gain most at first sight are followed. A global likelihood (one column) says nothing about limbs: the
+    state comes back unchanged.
     Source: the scout filters of CF 7.4 (DDMA-PF), here as a means of recovery inside any filter.
     """
     layout = problem.layout
+    columns_of = partial(_bounded_columns, layout, is_drawn=is_drawn)
     per_part = problem.log_likelihood(state[None])[0]
     if per_part.shape[0] != layout.n_parts:
         return state, ScoutInfo((), (), state[None][:0])
     limbs = [
         limb
         for limb in limbs_of(layout)
-        if (limb[0] in look_at or per_part[limb].min() < settings.threshold)
-        and len(_bounded_columns(layout, limb))
+        if (limb[0] in look_at or per_part[limb].min() < settings.threshold) and len(columns_of(limb))
     ]
 
     def judge(held: Array, limb: list[int]) -> Value:
         likelihood = limb_log_likelihood(problem, held, limb)
         return likelihood if bonus is None else lambda x: likelihood(x) + bonus(x, limb)
 
-    screened = [_drawn(problem, state, limb, settings, judge(state, limb), rng=rng) for limb in limbs]
+    screened = [
+        _drawn(problem, state, limb, columns_of(limb), settings, judge(state, limb), rng=rng)
+        for limb in limbs
+    ]
     screened.sort(key=lambda drawn: -drawn.gain)
     tried, accepted = [], []
     alternatives: list[Array] = []
@@ -91,10 +97,10 @@ def scout_limbs(
         tried.append(name)
         value_of = judge(best, drawn.limb)
         if best is not state:
-            drawn = _held(layout, drawn, best, value_of)
+            drawn = _held(drawn, best, value_of)
         every, value = _closed_in(problem, drawn, settings, value_of, rng=rng)
         if settings.n_alternatives:
-            alternatives += _distinct(every, value, _bounded_columns(layout, drawn.limb), settings)
+            alternatives += _distinct(every, value, drawn.columns, settings)
         if value.max() > value_of(best[None])[0] + settings.margin:
             best = every[value.argmax()].copy()
             accepted.append(name)
@@ -104,9 +110,11 @@ def scout_limbs(
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """Poses of one limb drawn over its whole range.  particles : (N, D).  value : (N,) nats.  gain : the best one's."""
+    """Poses of one limb drawn over its whole range.  columns : those drawn.  particles : (N, D).  value : (N,) nats.
+    gain : the best one's."""
 
     limb: list[int]
+    columns: NDArray[np.int64]
     particles: Array
     value: Array
     gain: float = 0.0
@@ -116,6 +124,7 @@ def _drawn(
     problem: ArticulatedProblem,
     state: Array,
     limb: list[int],
+    columns: NDArray[np.int64],
     settings: ScoutSettings,
     value_of: Value,
     *,
@@ -123,7 +132,7 @@ def _drawn(
 ) -> _Drawn:
     """A limb of a state (D,) drawn anew; where the problem can say cheaply which draws lie in the data, the best of
     more draws."""
-    layout, columns = problem.layout, _bounded_columns(problem.layout, limb)
+    layout = problem.layout
     coarse = problem if isinstance(problem, HeldBodyProblem) else None
     n_drawn = settings.n_samples * (1 if coarse is None else settings.oversampling)
     particles = np.tile(state, (n_drawn, 1))
@@ -133,14 +142,14 @@ def _drawn(
         in_data = coarse.limb_in_data(particles, limb)
         particles = particles[np.argsort(-in_data, kind="stable")[: settings.n_samples]]
     value = value_of(particles)
-    return _Drawn(limb, particles, value, float(value.max() - value_of(state[None])[0]))
+    return _Drawn(limb, columns, particles, value, float(value.max() - value_of(state[None])[0]))
 
 
-def _held(layout: StateLayout, drawn: _Drawn, best: Array, value_of: Value) -> _Drawn:
+def _held(drawn: _Drawn, best: Array, value_of: Value) -> _Drawn:
     """The same draws on another state (D,): what an earlier limb has found holds for this one too."""
-    is_own = np.isin(np.arange(layout.n_columns), _bounded_columns(layout, drawn.limb))
-    particles = np.where(is_own, drawn.particles, best)
-    return _Drawn(drawn.limb, particles, value_of(particles), drawn.gain)
+    particles = np.tile(best, (len(drawn.particles), 1))
+    particles[:, drawn.columns] = drawn.particles[:, drawn.columns]
+    return replace(drawn, particles=particles, value=value_of(particles))
 
 
 def _closed_in(
@@ -152,7 +161,7 @@ def _closed_in(
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """All particles (M, D) of a few layers with falling noise around the draws that fit, and their values (M,)."""
-    columns = _bounded_columns(problem.layout, drawn.limb)
+    columns = drawn.columns
     particles, value = drawn.particles, drawn.value
     seen, seen_value = [particles], [value]
     std = np.zeros(problem.layout.n_columns)
@@ -190,6 +199,10 @@ def _distinct(
     return chosen
 
 
-def _bounded_columns(layout: StateLayout, limb: list[int]) -> NDArray[np.int64]:
-    columns = np.flatnonzero(np.isin(layout.part_of_column, limb))
+def _bounded_columns(
+    layout: StateLayout, limb: list[int], is_drawn: NDArray[np.bool_] | None
+) -> NDArray[np.int64]:
+    columns = layout.columns_of(limb)
+    if is_drawn is not None:
+        columns = columns[is_drawn[columns]]
     return columns[np.isfinite(layout.lower[columns]) & np.isfinite(layout.upper[columns])]

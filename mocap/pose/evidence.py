@@ -41,9 +41,15 @@ class PersonTools:
         """(D,) standard deviation per frame: half of the largest expected movement (CF 3.2.2)."""
         return 0.5 * self.body.max_speed / self.fps * self.settings.noise_scale
 
+    @property
+    def is_searched(self) -> NDArray[np.bool_]:
+        """(D,) bool, columns in which filters and searches draw poses."""
+        return np.ones(self.body.layout.n_columns, dtype=np.bool_)
+
     def filter_settings(self) -> FilterSettings:
         """Settings of the chosen filter on this body."""
-        return filter_settings(self.settings.filter, self.body.layout, self.noise_std)
+        noise = np.where(self.is_searched, self.noise_std, 0.0)
+        return filter_settings(self.settings.filter, self.body.layout, noise)
 
     def brisk(self, n_layers: int, n_particles: int, stride: int = 1, **settings: Any) -> Self:
         """The tools for a brief look at every `stride`-th frame: fewer particles, no search for what is lost."""
@@ -137,6 +143,10 @@ class WholeBodyEvidence(FrameEvidence, Protocol):
 
     def misfit(self, states: Sequence[Array] | Array) -> Array:
         """What the likelihood does not ask of K states, (K,) nats: `evidence` is the one less the other."""
+        ...
+
+    def unexplained_share(self, state: Array) -> float:
+        """Share of the data that lies far from the body."""
         ...
 
 

@@ -115,7 +115,13 @@ def search_limbs(
         return np.sum([term(particles, limb) for term in terms], axis=0)
 
     found, scouted = scout_limbs(
-        evidence.search, state, settings, rng=rng, bonus=bonus if terms else None, look_at=look_at
+        evidence.search,
+        state,
+        settings,
+        rng=rng,
+        bonus=bonus if terms else None,
+        look_at=look_at,
+        is_drawn=evidence.tools.is_searched,
     )
     alternatives = evidence.all_refined(list(scouted.alternatives), numbers.alternative_iterations)
     candidates = [state, *alternatives]

@@ -63,7 +63,8 @@ class PoseSearch:
     def std(self) -> Array:
         """(D,) noise of the search, m and rad."""
         numbers = self.settings.method.start
-        return np.where(self.body.is_position, numbers.search_std_m, numbers.search_std_rad)
+        std = np.where(self.body.is_position, numbers.search_std_m, numbers.search_std_rad)
+        return np.where(self.evidence.tools.is_searched, std, 0.0)
 
     def score(self, states: Array) -> Array:
         """Log-likelihood of states (N, D) with the prior on the direction, (N,)."""

@@ -135,6 +135,11 @@ class VolumeTools(PersonTools):
     outline_fit: OutlineFitSettings
 
     @property
+    def is_searched(self) -> NDArray[np.bool_]:
+        """(D,) what searches draw: not how feet and hands turn, which refinements set where there are any."""
+        return ~(self.body.is_fine & self.settings.refine)
+
+    @property
     def prior_std(self) -> Array:
         """(D,) how far a refinement may be expected to move, m and rad: its weak prior."""
         numbers = self.settings.method.evidence
@@ -354,16 +359,6 @@ class VolumeEvidence:
     def unexplained_share(self, state: Array) -> float:
         """Share of the hull's surface that lies far from the body."""
         return self.surface.unexplained_share(state, self.tools.settings.method.evidence.unexplained_m)
-
-    def is_crowded(self, state: Array) -> bool:
-        """Whether hull and silhouettes hold much else than the body, a chair perhaps."""
-        method = self.tools.settings.method
-        if self.unexplained_share(state) <= method.start.crowded_share:
-            return False
-        if self.outlines is None:
-            return True
-        beside = self.outlines.unexplained_share(state, method.evidence.unexplained_m)
-        return beside > method.start.crowded_outline_share
 
     def limb_misfits(self, state: Array) -> dict[int, float]:
         """How badly each limb fits, by its first part: nats >= 0, of its worst part."""

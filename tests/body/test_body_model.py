@@ -86,6 +86,14 @@ def test_joint_limits_are_table_6_1(name: str) -> None:
         assert layout.upper[i] == pytest.approx(high, abs=1e-12), column
 
 
+@pytest.mark.parametrize("name", PRESETS)
+def test_fine_columns_are_those_of_feet_and_hands(name: str) -> None:
+    b = body(name)
+    fine = {column for column, is_fine in zip(b.layout.names, b.is_fine, strict=True) if is_fine}
+    assert fine == {c for c in b.layout.names if any(j in c for j in ("ankle", "mtp", "wrist"))}
+    assert len(fine) == (10 if name == "whole" else 0)
+
+
 def test_lengths_of_the_thesis_body_are_table_6_1() -> None:
     height = 1.83
     points = landmarks_of(body("thesis", height), np.zeros((1, 27)))[0]

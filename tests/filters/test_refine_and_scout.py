@@ -186,6 +186,25 @@ def test_scouts_find_an_arm_that_was_turned_away(flesh: Flesh) -> None:
     assert n_recovered >= N_RECOVERED
 
 
+def test_scouts_leave_columns_alone_that_they_are_told_to_leave(flesh: Flesh) -> None:
+    truth = open_pose(flesh)
+    names = flesh.body.layout.names
+    voxels, _ = problems(flesh, flesh.hull(truth, margin_m=VOXEL_M))
+    lost = truth.copy()
+    lost[names.index("right_shoulder_x")] = -1.2
+    is_drawn = np.array([name != "right_elbow_z" for name in names])
+    settings = ScoutSettings(n_alternatives=3)
+    found, info = scout_limbs(voxels, lost, settings, rng=np.random.default_rng(0), is_drawn=is_drawn)
+    assert "right_upper_arm" in info.accepted
+    assert not np.array_equal(found, lost)
+    for state in (found, *info.alternatives):
+        np.testing.assert_array_equal(state[~is_drawn], lost[~is_drawn])
+    nothing = np.zeros(len(names), dtype=np.bool_)
+    same, info = scout_limbs(voxels, lost, settings, rng=np.random.default_rng(0), is_drawn=nothing)
+    np.testing.assert_array_equal(same, lost)
+    assert info.tried == ()
+
+
 def test_scouts_leave_a_good_fit_and_a_global_likelihood_alone(flesh: Flesh) -> None:
     truth = open_pose(flesh)
     hull = flesh.hull(truth)

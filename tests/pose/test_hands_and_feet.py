@@ -9,6 +9,10 @@ from flesh_voxels import Flesh, make_flesh
 from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.data import LANDMARKS
 from mocap.likelihood.residuals import BodyFit, SurfaceFitSettings, SurfaceProblem, hull_surface
+from mocap.pipeline.config import LikelihoodConfig, PoseConfig
+from mocap.pipeline.pose_settings import make_tools
+from mocap.pose.limb_search import search_limbs
+from mocap.pose.start import PoseSearch
 from mocap.pose.volume import pack_volume
 
 HEIGHT_M, VOXEL_M = 1.75, 0.02
@@ -57,3 +61,33 @@ def errors_mm(name: str, truth: tuple[Flesh, np.ndarray]) -> np.ndarray:
 def test_a_bent_hand_does_not_turn_its_forearm(truth: tuple[Flesh, np.ndarray]) -> None:
     whole, girdle = errors_mm("whole", truth), errors_mm("girdle", truth)
     assert np.all(whole[MOVED] < 0.6 * girdle[MOVED])
+
+
+@pytest.mark.parametrize("refine", [True, False])
+def test_searches_draw_no_feet_and_hands_where_refinements_set_them(*, refine: bool) -> None:
+    """With them the start took a worse pose of somebody on a chair, where the good one was better (decision 61)."""
+    flesh = make_flesh("whole", HEIGHT_M, 0.04)
+    settings = PoseConfig(refine=refine)
+    tools = make_tools(flesh.grid, 30.0, HEIGHT_M, "whole", settings, LikelihoodConfig(), 1)
+    still = flesh.body.is_fine & refine
+    search = PoseSearch(tools.frame(flesh.hull(neutral_state(flesh.body))), 0, None)
+    noises = tools.filter_settings().std, search.std  # type: ignore[attr-defined]
+    for noise in noises:
+        np.testing.assert_array_equal(noise == 0.0, still)
+    assert still.sum() == (10 if refine else 0)
+
+
+def test_the_search_for_limbs_leaves_a_hand_as_it_is(truth: tuple[Flesh, np.ndarray]) -> None:
+    """An arm that was turned away is found with the hand at its angles, which the refinement then sets."""
+    flesh = make_flesh("whole", HEIGHT_M, 0.04)
+    names = flesh.body.layout.names
+    state = neutral_state(flesh.body)
+    tools = make_tools(flesh.grid, 30.0, HEIGHT_M, "whole", PoseConfig(), LikelihoodConfig(), 1)
+    evidence = tools.frame(flesh.hull(state))
+    lost = state.copy()
+    lost[names.index("right_shoulder_x")] = -1.2
+    found = search_limbs(evidence, lost, max_limbs=2, rng=np.random.default_rng(0))
+    before, after = evidence.evidence([lost, found])
+    assert after > before + 5.0
+    wrist = landmarks_of(flesh.body, np.stack([state, lost, found]))[:, LANDMARKS.index("right_wrist")]
+    assert np.linalg.norm(wrist[2] - wrist[0]) < 0.2 * np.linalg.norm(wrist[1] - wrist[0])
