@@ -145,10 +145,6 @@ class WholeBodyEvidence(FrameEvidence, Protocol):
         """What the likelihood does not ask of K states, (K,) nats: `evidence` is the one less the other."""
         ...
 
-    def unexplained_share(self, state: Array) -> float:
-        """Share of the data that lies far from the body."""
-        ...
-
 
 class Observation(Protocol):
     """What is seen of one person over a clip."""

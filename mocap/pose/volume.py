@@ -360,6 +360,16 @@ class VolumeEvidence:
         """Share of the hull's surface that lies far from the body."""
         return self.surface.unexplained_share(state, self.tools.settings.method.evidence.unexplained_m)
 
+    def is_crowded(self, state: Array) -> bool:
+        """Whether hull and silhouettes hold much else than the body, a chair perhaps."""
+        method = self.tools.settings.method
+        if self.unexplained_share(state) <= method.start.crowded_share:
+            return False
+        if self.outlines is None:
+            return True
+        beside = self.outlines.unexplained_share(state, method.evidence.unexplained_m)
+        return beside > method.start.crowded_outline_share
+
     def limb_misfits(self, state: Array) -> dict[int, float]:
         """How badly each limb fits, by its first part: nats >= 0, of its worst part."""
         layout = self.tools.body.layout
