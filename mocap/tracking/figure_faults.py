@@ -51,6 +51,16 @@ class FaultSettings:
     """Deviation of a picture's points from their plane; somebody's who stands lie 35 mm off, by nose and toes."""
     still_m: float = 0.02
     """What a picture's points move over a clip: the noise of keypoints."""
+    pair_better: float = 0.7
+    """Of two cameras alone, the share to which another explanation must bring the distance from epipolar lines down: of
+    MediaPipe's points left and right exchanged leave 0.43 to 0.63 of it, other clocks 0.2 to 0.53; good ones have
+    none below 0.95."""
+    pair_focal: float = 0.008
+    """Distance from epipolar lines, as a share of the focal length, to which an explanation must bring two cameras
+    alone: right ones leave 0.005 of it, the best of another clip's keypoints 0.014."""
+    agreed_share: float = 0.6
+    """Share of the frames with somebody in two pictures or more, in which at least two cameras must agree on somebody:
+    0.97 to 1 of good keypoints, up to 0.45 of another clip's."""
 
 
 @dataclass(frozen=True)
@@ -91,11 +101,12 @@ def find_figure_faults(clip: Clip) -> list[FigureFault]:
     exchanged = _exchanged(clip)
     if exchanged:
         return exchanged
-    found = []
-    for camera in range(len(clip.views.P)):
-        fault = _of_camera(clip, camera)
-        found += [fault] if fault is not None else []
-    return found + _mirrored(clip) + _pictures(clip)
+    if len(clip.names) == 2:
+        found = _of_pair(clip)
+    else:
+        faults = [_of_camera(clip, camera) for camera in range(len(clip.views.P))]
+        found = [fault for fault in faults if fault is not None]
+    return (found or _strangers(clip)) + _mirrored(clip) + _pictures(clip)
 
 
 def without_pictures(persons: Sequence[FigurePerson], faults: Sequence[FigureFault]) -> list[FigurePerson]:
@@ -109,8 +120,9 @@ def without_pictures(persons: Sequence[FigurePerson], faults: Sequence[FigureFau
 
 def _exchanged(clip: Clip) -> list[FigureFault]:
     """Another order of the files under which the cameras agree, where they do not as they are."""
-    n, limit = len(clip.names), clip.settings.epipolar_px
-    if not 3 <= n <= clip.settings.most_cameras:
+    n = len(clip.names)
+    limit = clip.settings.epipolar_px if n > 2 else _pair_limit_px(clip)
+    if not 2 <= n <= clip.settings.most_cameras:
         return []
     score = _pair_scores(clip)
     pairs = np.array([(a, b) for a in range(n) for b in range(a)])
@@ -178,10 +190,7 @@ def _of_camera(clip: Clip, camera: int) -> FigureFault | None:
             "exchange the names in its file; a mirrored picture has them exchanged",
             camera,
         )
-    lags = [k for k in range(-clip.settings.lags, clip.settings.lags + 1) if k]
-    tries = {f"late by {k} frames" if k > 0 else f"early by {-k} frames": _shift(k) for k in lags}
-    tries |= {f"at {rate:.3g} times the frame rate of the others": _scale(rate) for rate in _RATES}
-    gaps = {what: _gap_m(clip, camera, seen, at) for what, at in tries.items()}
+    gaps = {what: _gap_m(clip, camera, seen, at) for what, at in _other_clocks(clip.settings).items()}
     what = min(gaps, key=gaps.__getitem__)
     if gaps[what] <= clip.settings.better * own:
         return FigureFault(
@@ -199,6 +208,69 @@ def _of_camera(clip: Clip, camera: int) -> FigureFault | None:
         "leave the camera out (session.toml: cameras)",
         camera,
     )
+
+
+def _of_pair(clip: Clip) -> list[FigureFault]:
+    """What is wrong between two cameras, of which none can be told to be right."""
+    first, second = clip.names
+    own = _pair_px(clip, lambda frame: frame)
+    tries = {
+        f"left and right are exchanged in the keypoints of camera {first} or of {second}": _pair_px(
+            clip, lambda frame: frame, is_mirrored=True
+        )
+    }
+    for what, at in _other_clocks(clip.settings).items():
+        said = f"the keypoints of camera {second} are {what.replace('the others', first)}"
+        tries[said] = _pair_px(clip, at)
+    said = min(tries, key=tries.__getitem__)
+    if tries[said] > min(clip.settings.pair_better * own, _pair_limit_px(clip)):
+        return []
+    is_clock = said.startswith("the keypoints")
+    remedy = (
+        "number its frames as those of the other camera" if is_clock else "exchange the names in its file"
+    )
+    return [FigureFault(said, remedy, 1 if is_clock else None)]
+
+
+def _pair_limit_px(clip: Clip) -> float:
+    return clip.settings.pair_focal * float(np.mean(clip.views.focal))
+
+
+def _pair_px(clip: Clip, shown_at: Callable[[int], int], *, is_mirrored: bool = False) -> float:
+    """Median over frames of how far the keypoints of the second camera lie from the epipolar lines of the first, px."""
+    F = clip.views.fundamental(0, 1)
+    distances = []
+    for frame in clip.some_frames():
+        figures = clip.of_camera(shown_at(frame), 1)
+        uv = [f.uv[MIRRORED] if is_mirrored else f.uv for f in figures]
+        found = [_epipolar_px(F, f.uv, other) for f in clip.of_camera(frame, 0) for other in uv]
+        distances += [min(found)] if found else []
+    return float(np.median(distances)) if len(distances) >= clip.settings.least_frames else float("inf")
+
+
+def _strangers(clip: Clip) -> list[FigureFault]:
+    """Cameras that show somebody, and agree on nobody: no one of them can be blamed."""
+    shown = [f for f, seen in clip.figures.items() if len({g.camera for g in seen}) >= 2]
+    agreed = {frame for person in clip.persons for frame in person.frames}
+    share = sum(f in agreed for f in shown) / max(len(shown), 1)
+    if len(shown) < clip.settings.least_frames or share >= clip.settings.agreed_share:
+        return []
+    return [
+        FigureFault(
+            f"two cameras or more show somebody in {len(shown)} frames, and agree on a person in {100 * share:.0f} % "
+            "of them: each shows somebody else, the keypoints are of another rig, clip or calibration, or the cameras "
+            "run apart",
+            "detect all persons in all pictures, check that keypoints/ and the calibration are of this recording, and "
+            "run `mocap sync`",
+        )
+    ]
+
+
+def _other_clocks(settings: FaultSettings) -> dict[str, Callable[[int], int]]:
+    """What is said of a camera's clock -> frame of the others -> frame of this camera."""
+    lags = [k for k in range(-settings.lags, settings.lags + 1) if k]
+    tries = {f"late by {k} frames" if k > 0 else f"early by {-k} frames": _shift(k) for k in lags}
+    return tries | {f"at {rate:.3g} times the frame rate of the others": _scale(rate) for rate in _RATES}
 
 
 def _shift(k: int) -> Callable[[int], int]:

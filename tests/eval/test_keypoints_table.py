@@ -70,3 +70,19 @@ def test_the_page_says_what_the_table_of_volumes_with_keypoints_says() -> None:
     page = (ROOT / "docs" / "keypoints.md").read_text(encoding="utf-8").partition("**With volumes**")[2]
     found = re.findall(r"^\| `(\w+)`[^|]*\| (\d) \| ([^|]*) \| \*\*([^|]*)\*\* \|$", page, flags=re.MULTILINE)
     assert {(s, n): {"volumes": v, "fused": f} for s, n, v, f in found} == table
+
+
+def test_the_page_says_what_the_table_of_keypoints_alone_says() -> None:
+    table: dict[tuple[str, str], dict[str, str]] = {}
+    with (RESULTS / "keypoints.csv").open(encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            if row["session"] != "room":  # told in words
+                raw, after = float(row["mean_error_mm"]), float(row["mean_error_after_offset_mm"])
+                table.setdefault((row["session"], row["cameras"]), {})[row["method"]] = (
+                    f"{raw:.1f} ({after:.1f})"
+                )
+    page = (ROOT / "docs" / "keypoints.md").read_text(encoding="utf-8").partition("## What was measured")[2]
+    found = re.findall(
+        r"^\| (\w+) \| (\d) \| ([^|]*) \| \*\*([\d.]+)\*\* (\([^|]*\)) \|", page, flags=re.MULTILINE
+    )
+    assert {(s, n): {"triangulation": t, "keypoints": f"{k} {a}"} for s, n, t, k, a in found} == table

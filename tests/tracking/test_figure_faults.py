@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from keypoint_world import KeypointWorld, keypoint_world
 from numpy.typing import NDArray
 
+from mocap.data import CameraRig
 from mocap.data.keypoints import MIRRORED
 from mocap.likelihood.markers import marker_views, undistort
 from mocap.tracking.figure_faults import Clip, FaultSettings, FigureFault, find_figure_faults
@@ -125,3 +127,51 @@ def test_a_poster_is_no_person(world: KeypointWorld) -> None:
     assert [f.person for f in found if f.person is not None] != []
     assert len(found) == 1
     assert "never moves and is flat" in found[0].message
+
+
+@pytest.fixture(scope="module")
+def pair() -> KeypointWorld:
+    """Two of five cameras: two that look at each other tell little."""
+    five = keypoint_world(N, noise_px=1.5, n_cameras=5)
+    return replace(five, rig=CameraRig(five.rig.cameras[:2]), figures=[seen[:2] for seen in five.figures])
+
+
+def changed(
+    world: KeypointWorld, second: Callable[[int], int], *, is_mirrored: bool = False
+) -> dict[int, list[View2D]]:
+    """Figures of two cameras, of which the second shows what it sees in another frame."""
+    own = figures_of(world)
+    out = {f: [g for g in own[f] if g.camera == 0] for f in own}
+    for f in own:
+        shown = [g for g in own.get(second(f), []) if g.camera == 1]
+        out[f] += [mirrored(g) for g in shown] if is_mirrored else shown
+    return out
+
+
+def test_two_cameras_alone_are_not_blamed_for_good_keypoints(pair: KeypointWorld) -> None:
+    assert faults(figures_of(pair), pair) == []
+
+
+def test_what_is_wrong_between_two_cameras_is_named(pair: KeypointWorld) -> None:
+    def said(figures: dict[int, list[View2D]]) -> str:
+        return "; ".join(f.message for f in faults(figures, pair))
+
+    swapped = {f: [replace(g, camera=1 - g.camera) for g in seen] for f, seen in figures_of(pair).items()}
+    assert "cameras cam_0, cam_1 are exchanged" in said(swapped)
+    crossed = changed(pair, lambda f: f, is_mirrored=True)
+    assert "left and right are exchanged in the keypoints of camera cam_0 or of cam_1" in said(crossed)
+    assert "camera cam_1 are at 0.5 times the frame rate of cam_0" in said(changed(pair, lambda f: 2 * f))
+    assert "camera cam_1 are late by" in said(changed(pair, lambda f: f - 9))
+
+
+def test_keypoints_of_another_rig_are_named_though_no_camera_can_be_blamed() -> None:
+    world = keypoint_world(N, noise_px=1.5, n_cameras=3)
+    rng = np.random.default_rng(5)
+    places = rng.uniform(-150, 150, (3, 2))
+    figures = {
+        f: [replace(g, uv=0.6 * g.uv + [130, 100] + places[g.camera]) for g in seen]
+        for f, seen in figures_of(world).items()
+    }
+    (fault,) = faults(figures, world)
+    assert "agree on a person in" in fault.message
+    assert fault.camera is None
