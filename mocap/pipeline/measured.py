@@ -104,7 +104,7 @@ def register_session(
     others. Raises MocapError for a session that cannot be opened, a camera that measures no depth, too little that
     stands in the view of two cameras, and places that what is measured leaves open; MissingExtra without Open3D.
     """
-    opened = _with_depth(open_session(session, calibration=calibration))
+    opened = _with_depth(open_session(session, calibration=calibration, unplaced=(camera,)))
     names = list(opened.depth_sources)
     if camera not in names:
         raise MocapError(

@@ -112,7 +112,7 @@ def test_a_camera_is_put_where_it_stands(session: Path, tmp_path: Path) -> None:
     true = open_session(session).rig
     wrong = tmp_path / "wrong.toml"
     camera = true["cam_0"]
-    moved = replace(camera, t=camera.t + np.array([0.4, 0.1, -0.3]))
+    moved = replace(camera, R=np.eye(3), t=np.array([0.0, 0.0, 0.3]))  # looks up from under the floor
     write_calibration(wrong, CameraRig(tuple(moved if c.name == "cam_0" else c for c in true)))
     registered = register_session(session, "cam_0", calibration=wrong)
     write_registered(tmp_path / "right.toml", registered)

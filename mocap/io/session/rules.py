@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
@@ -49,6 +49,7 @@ class Opening:
     root: Path
     wanted_calibration: Path | None = None
     wanted_frames: Frames | None = None
+    unplaced: tuple[str, ...] = ()
     settings: SessionSettings = field(init=False)
     calibration: CalibrationFile = field(init=False)
     # Calibrations of later frames, and cameras that were pushed before the first.
@@ -208,6 +209,8 @@ def _frames(o: Opening) -> list[Finding]:
 def _depth(o: Opening) -> list[Finding]:
     """The numbers of depth maps have the unit that is said."""
     for name, folder in _of(o.rig, o.sources.depth).items():
+        if name in o.unplaced:
+            continue
         places = o.clip_frames.get(name)
         first = o.frames.start if places is None else int(places[o.frames.start])
         check_depth.check_unit(folder, o.rig[name], o.settings.depth, first)
@@ -245,17 +248,19 @@ def open_session(
     *,
     calibration: Path | str | None = None,
     frames: Frames | None = None,
+    unplaced: Sequence[str] = (),
 ) -> Session:
     """Open a session folder and check that its parts belong together.
 
     calibration : file to use instead of the session's own.  frames : (start, stop), stop excluded, None = from
-    the first / to the last common frame; overrides session.toml.
+    the first / to the last common frame; overrides session.toml.  unplaced : cameras of which nobody says that
+    the calibration has their place: the unit of their depth is not checked on the floor.
     Raises MocapError with camera, file and remedy for no or bad calibration, no pictures and no masks, a source
     without calibration, a calibrated camera without source (unless session.toml names the `cameras` to use),
     fewer than two cameras, sizes differing from the calibration, clips of different length, unreadable,
     truncated or empty clips, a frame range outside the clips.
     """
-    o = Opening(Path(root), None if calibration is None else Path(calibration), frames)
+    o = Opening(Path(root), None if calibration is None else Path(calibration), frames, tuple(unplaced))
     findings = [finding for rule in OPENING for finding in rule(o)]
     truth = o.root / "truth"
     return Session(
