@@ -112,6 +112,17 @@ def test_who_stands_in_the_empty_clip_leaves_no_ghost() -> None:
     assert iou(background, pictures, truth) < 0.8 < 0.9 < iou(fit.background, pictures, truth)
 
 
+@pytest.mark.parametrize("k", [0, 3, 6])
+def test_who_walks_through_his_place_in_the_clip_leaves_no_ghost(k: int) -> None:
+    """In the pictures in which he is there again nothing differs."""
+    rng = np.random.default_rng(9)
+    pictures, truth = recording(room(), rng)
+    background = learn_background([pictures[k]] * 20)
+    fit = fit_background(background, pictures)
+    assert fit.gone[truth[k]].mean() > 0.95
+    assert iou(background, pictures, truth) < 0.8 < 0.9 < iou(fit.background, pictures, truth)
+
+
 def test_who_stands_in_the_recording_all_the_time_stays_a_person() -> None:
     rng = np.random.default_rng(6)
     pictures, truth = recording(room(), rng)

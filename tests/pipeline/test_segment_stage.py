@@ -77,6 +77,35 @@ def test_report_names_the_camera_that_flickers(root: Path, tmp_path: Path) -> No
     assert any("flicker" in w for w in report.warnings)
 
 
+def blacken(root: Path, names: tuple[str, ...], frames: range) -> None:
+    for name in names:
+        for f in frames:
+            path = root / "images" / name / f"{f:03d}.png"
+            assert cv2.imwrite(str(path), np.full((SIZE[1], SIZE[0], 3), 3, np.uint8))
+
+
+def test_where_the_light_goes_out_nobody_is_seen(root: Path, tmp_path: Path) -> None:
+    """The frames before and after are those of a recording in which it does not."""
+    _, lit = segmented(root, tmp_path / "lit.zarr")
+    dark = range(2, 5)
+    blacken(root, NAMES, dark)
+    store, masks = segmented(root, tmp_path / "dark.zarr")
+    assert not masks[dark].any()
+    others = [f for f in range(N_FRAMES) if f not in dark]
+    np.testing.assert_array_equal(masks[others], lit[others])
+    warnings = segment_report(Job(open_session(root), load_config(), store)).warnings
+    assert sum("fills most of the picture in 43%" in w for w in warnings) == len(NAMES)
+
+
+def test_one_covered_lens_empties_no_frame(root: Path, tmp_path: Path) -> None:
+    """Its mask is full, so that it votes nobody away."""
+    _, lit = segmented(root, tmp_path / "lit.zarr")
+    blacken(root, NAMES[:1], range(2, 5))
+    _, masks = segmented(root, tmp_path / "dark.zarr")
+    assert masks[2:5, 0].all()
+    np.testing.assert_array_equal(masks[:, 1:], lit[:, 1:])
+
+
 def test_region_of_interest_from_a_picture_and_a_polygon(root: Path, tmp_path: Path) -> None:
     before = stage_keys(open_session(root), load_config(), 0)["segment"]
     picture = np.zeros((SIZE[1], SIZE[0]), np.uint8)

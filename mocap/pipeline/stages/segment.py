@@ -110,7 +110,11 @@ def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[R
     usable = np.array([m.is_usable for m in found])
     shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
     masks = [m.mask for m in found]
-    if state.look is not None:
+    if 2 * np.count_nonzero(usable) < len(usable):
+        # The light went out, or all lenses are covered: a few cameras tell nobody from the room, and the full masks
+        # of the rest would fill it.
+        masks = [np.zeros_like(mask) for mask in masks]
+    elif state.look is not None:
         masks = state.look.masks(masks, [m.shadow for m in found], [m.doubtful for m in found])
     return state, replace(seen, masks=masks), [Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))]
 
