@@ -90,6 +90,9 @@ _STILL_SHARE = 0.6  # of the snapshots in which a cell is foreground
 # than the half frame between neighbouring pictures, and another for what a lag of one frame costs.
 _CLOCKS = SynchronySettings(max_lag_s=MAX_LAG_FRAMES * FRAME_S, least_overlap_s=0.5)
 _LATE_FRAMES = 1.5
+# What a lag must explain of a camera's masks, share of a mask: late cameras of the development scene 0.012 to 0.13,
+# cameras whose clock misleads where somebody sits down 0.001 at most.
+_LATE_EXPLAINS = 0.005
 
 
 @dataclass(frozen=True)
@@ -217,7 +220,14 @@ def find_faults(monitor: ConsistencyMonitor, guessed: Sequence[str] = ()) -> tup
     evidence = monitor.evidence()
     faults = find_camera_faults(evidence)
     known = [fault for fault in faults if not _is_refuted(fault, monitor)]
-    misfits = find_misfits(monitor.rig, monitor.mask_samples(), known, monitor.occluders, guessed)
+    samples = monitor.mask_samples()
+    misfits = find_misfits(monitor.rig, samples, known, monitor.occluders, guessed)
+    named = {fault.camera for fault in misfits if fault.camera}
+    surely = [fault for fault in known if not _is_late_by_a_frame(fault)]
+    if named and len(surely) < len(known):
+        # The hull that tells who is late had that camera in it, and one frame is what a wrong hull comes to.
+        more = find_misfits(monitor.rig, samples, surely, monitor.occluders, guessed)
+        misfits = more if {fault.camera for fault in more} > named else misfits
     # Two that film each other's place look like two that are turned.
     if len(misfits) == 2 or any(fault.kind == "rig" for fault in misfits) or _has_no_volume(evidence):
         misfits = find_exchanged(monitor.rig, evidence, monitor.outlines()) or misfits
@@ -226,25 +236,40 @@ def find_faults(monitor: ConsistencyMonitor, guessed: Sequence[str] = ()) -> tup
     return tuple(sorted(faults + misfits, key=lambda f: (f.first_frame, f.camera)))
 
 
+def _is_late_by_a_frame(fault: CameraFault) -> bool:
+    return fault.kind == "lag" and abs(fault.lag_frames) == 1 and fault.is_from_start and fault.is_to_end
+
+
 def find_late(monitor: ConsistencyMonitor, faults: Sequence[CameraFault]) -> tuple[CameraFault, ...]:
     """The cameras that lag or are early for certain, when several are blamed or nobody can be.
 
     Two cameras that are late make healthy ones look early, as the hull of the others is of two moments. Clocks know
     nothing of volumes: they come from what pairs of cameras see, solved for all of them at once, and whose clock most
-    others share is right.  faults : what is said of the cameras.
+    others share is right. Of somebody who hardly moves they tell too much: the lag must explain masks too.
+    faults : what is said of the cameras.
     """
     blamed = {f.camera for f in faults if f.kind in ("lag", "rate", "moved", "misfit", "scene", "rig")}
     if "" in blamed:
         blamed = set(monitor.rig.names)
     if len(blamed) < 2:
         return ()
-    first, *_, last = monitor.evidence().frames.tolist()
+    evidence = monitor.evidence()
+    first, *_, last = evidence.frames.tolist()
     late = []
     for name, clock in _clocks(monitor).items():
         lag = -clock.offset_s / FRAME_S
-        if name in blamed and clock.is_off and _LATE_FRAMES < abs(lag) <= MAX_LAG_FRAMES:
+        if not (name in blamed and clock.is_off and _LATE_FRAMES < abs(lag) <= MAX_LAG_FRAMES):
+            continue
+        if _explained_by(evidence, monitor.rig.names.index(name), round(lag)) >= _LATE_EXPLAINS:
             late.append(CameraFault(name, "lag", first, last, True, True, lag_frames=round(lag)))
     return tuple(late) if 2 * len(late) < len(monitor.rig) else ()
+
+
+def _explained_by(evidence: SilhouetteEvidence, c: int, lag_frames: int) -> float:
+    """How much less of a camera's masks is left unexplained when it lags, mean share over the frames."""
+    shares = np.minimum(evidence.uncovered[:, c], _LARGEST_SHARE)
+    gain = shares[:, MAX_LAG_FRAMES] - shares[:, MAX_LAG_FRAMES + lag_frames]
+    return float(np.nan_to_num(_mean(gain[np.isfinite(gain)])))
 
 
 def _clocks(monitor: ConsistencyMonitor) -> Mapping[str, ClockEstimate]:

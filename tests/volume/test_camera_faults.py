@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -25,13 +26,14 @@ from mocap.products.hulls import rig_offset_m, stored_faults
 from mocap.volume import (
     CameraFault,
     ConsistencyMonitor,
+    camera_faults,
     find_camera_faults,
     find_faults,
     find_late,
     usable_cameras,
 )
 from mocap.volume.camera_faults import background_shift, fit_states
-from mocap.volume.consistency import MAX_LAG_FRAMES, SHRINK, SilhouetteEvidence, Snapshot
+from mocap.volume.consistency import FRAME_S, MAX_LAG_FRAMES, SHRINK, SilhouetteEvidence, Snapshot
 
 T, C, SIZE = 64, 7, (320, 240)
 RIG = ring(C, SIZE)
@@ -221,6 +223,34 @@ def test_a_turned_camera_that_seems_to_lag_is_told_by_its_clock() -> None:
     found = find_faults(monitor)
     assert [(f.camera, f.kind) for f in found] == [("cam_1", "calibration"), ("cam_4", "calibration")]
     assert [f.turn_deg for f in found] == pytest.approx([1.2, 1.2], abs=0.2)
+
+
+def test_a_clock_that_no_mask_bears_out_makes_nobody_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    monitor = watched(clean())
+    lies = {name: SimpleNamespace(offset_s=-3 * FRAME_S, is_off=True) for name in ("cam_1", "cam_2")}
+    monkeypatch.setattr(camera_faults, "_clocks", lambda monitor: lies)
+    blamed = [CameraFault(name, "lag", 0, T - 1, True, True, lag_frames=3) for name in lies]
+    assert find_late(monitor, blamed) == ()
+    late = find_late(watched(filmed_late({1: 3, 2: 3})), blamed)
+    assert [(f.camera, f.lag_frames) for f in late] == [("cam_1", 3), ("cam_2", 3)]
+
+
+@pytest.mark.parametrize("is_turned", [True, False])
+def test_who_seems_a_frame_late_beside_a_turned_camera_is_judged_by_outlines(
+    is_turned: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turned, other = (
+        CameraFault(c, "calibration", 0, 9, True, True, offset_m=0.06) for c in ("cam_1", "cam_4")
+    )
+    late = CameraFault("cam_4", "lag", 0, 9, True, True, lag_frames=1)
+    more = (turned, other) if is_turned else (turned,)
+    monkeypatch.setattr(camera_faults, "find_camera_faults", lambda evidence: (late,))
+    monkeypatch.setattr(camera_faults, "_is_refuted", lambda fault, monitor: False)
+    monkeypatch.setattr(camera_faults, "find_exchanged", lambda *args: ())
+    monkeypatch.setattr(
+        camera_faults, "find_misfits", lambda rig, samples, known, *args: (turned,) if known else more
+    )
+    assert find_faults(watched(clean())) == ((turned, other) if is_turned else (turned, late))
 
 
 def still_picture(*, mask_change: float, n_cells: int) -> SilhouetteEvidence:

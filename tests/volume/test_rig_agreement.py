@@ -123,6 +123,39 @@ def test_three_cameras_may_disagree_but_none_can_be_named() -> None:
     assert not found.misfits
 
 
+def without_a_leg(mask: np.ndarray, from_height: float, *, is_left: bool) -> np.ndarray:
+    """The mask as furniture cuts it: one side of it, below a share of its height."""
+    v, u = np.nonzero(mask)
+    low, middle = round(v.min() + from_height * np.ptp(v)), round(float(np.median(u)))
+    cut = mask.copy()
+    cut[low:, :middle] &= not is_left
+    cut[low:, middle:] &= is_left
+    return cut
+
+
+@pytest.mark.parametrize(("from_height", "is_left"), [(0.5, True), (0.5, False), (0.3, False)])
+def test_a_camera_from_which_something_hides_a_leg_stands_where_it_should(
+    from_height: float, is_left: bool
+) -> None:
+    """Others' outlines miss its mask, and its own go through the others' hull: none of them passes it by."""
+    cut = [
+        replace(
+            s,
+            masks=[
+                without_a_leg(m, from_height, is_left=is_left) if c == 2 and m is not None else m
+                for c, m in enumerate(s.masks)
+            ],
+        )
+        for s in samples()
+    ]
+    found = rig_agreement(RIG, cut)
+    assert not found.misfits
+    assert found.is_decided
+    # A camera that is turned as well is named all the same.
+    turned = rig_agreement(rig_with({2: ((0.0, 1.0, 0.0), STILL)}), cut)
+    assert list(turned.misfits) == ["cam_2"]
+
+
 def test_without_masks_nothing_is_said() -> None:
     nobody = [replace(s, masks=[np.zeros_like(m) for m in s.masks]) for s in samples()]
     found = rig_agreement(RIG, nobody)
