@@ -16,7 +16,7 @@ from mocap.foreground.pixels import sample_silhouettes
 from mocap.io.session import Session
 from mocap.io.session.reading import depth_of, pictures_of
 from mocap.io.store import StageReader
-from mocap.pipeline.config import Config
+from mocap.pipeline.config import Config, VolumeConfig
 from mocap.pipeline.stage import (
     Ending,
     FrameWork,
@@ -37,6 +37,7 @@ from mocap.volume import (
     choose_grid,
     colour_hull,
     connected_components,
+    default_min_views,
     find_faults,
     find_late,
     surface_voxels,
@@ -124,14 +125,20 @@ class _Carving:
         own = [masks[i] for i in rows]
         k = faulty_views(self.session, self.config, len(masks) - len(rows))
         min_views = None if settings.min_views == "auto" else min(settings.min_views, len(rows))
-        voxels = carver.carve(own, n_faulty_views=k, min_views=min_views, outside=settings.outside_view)
-        if views:
-            voxels = voxels[~is_free(voxels, self.grid, views)]
+
+        def carved(min_views: int | None, min_votes: int | None = None) -> Voxels:
+            voxels = carver.carve(
+                own, n_faulty_views=k, min_views=min_views, min_votes=min_votes, outside=settings.outside_view
+            )
+            return voxels[~is_free(voxels, self.grid, views)] if views else voxels
+
+        voxels, fewer = carved(min_views), _fewer_views(settings, len(rows))
+        is_hidden = carver.occluders is not None and k == 0
+        if len(voxels) and (is_hidden or fewer is not None):
+            weak = carved(fewer or min_views, _HIDDEN_VOTES if is_hidden else None)
+            voxels = _grown(voxels, weak, self.grid)
         unknown = np.zeros(0, dtype=np.int32)
         if carver.occluders is not None and len(voxels):
-            if k == 0:
-                weak = carver.carve(own, n_faulty_views=0, min_views=min_views, min_votes=_HIDDEN_VOTES)
-                voxels = _grown(voxels, weak, self.grid)
             subs, reach = self.grid.subscripts(voxels), round(_AROUND_M / self.grid.voxel_size_m)
             box = subs.min(axis=0) - reach, subs.max(axis=0) + reach + 1
             unknown = carver.unknown(own, *box, n_faulty_views=k, min_views=min_views)
@@ -147,6 +154,13 @@ class _Carving:
         in_use = {name for name, is_used in zip(self.rig.names, used, strict=True) if is_used}
         maps = zip(self.session.depth_sources, depth or (), strict=depth is not None)
         return [DepthView(self.rig[name], own, noise) for name, own in maps if name in in_use]
+
+
+def _fewer_views(settings: VolumeConfig, n_cameras: int) -> int | None:
+    """Cameras that need to see what hangs on a person: with three or four one less than all, since who enters is cut
+    by the edge of a picture; None = as many as everywhere."""
+    is_free = settings.min_views == "auto" and settings.outside_view == "abstain"
+    return n_cameras - 1 if is_free and 3 <= n_cameras <= default_min_views(n_cameras) else None
 
 
 def _grown(voxels: Voxels, weak: Voxels, grid: VoxelGrid) -> Voxels:
