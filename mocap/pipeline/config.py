@@ -62,8 +62,8 @@ class VolumeConfig(_Section):
     n_faulty_views: Annotated[int, Field(ge=0)] | Literal["auto"] = "auto"
     """Cameras that may vote background for an occupied voxel; `auto` = 1 with six or more segmented cameras, else 0."""
     min_views: Annotated[int, Field(ge=1)] | Literal["auto"] = "auto"
-    """Cameras that must have a voxel in view; `auto` = 4, or all when there are fewer, but one less than all of three or
-    four for what hangs on a person."""
+    """Cameras that must have a voxel in view; `auto` = 4, or all when there are fewer, but one less of three or four
+    cameras for what hangs on a person."""
     room_bounds_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     """Lower and upper corner of the room; the session's own bounds or the cameras' common view when absent."""
     outside_view: Literal["abstain", "background"] = "abstain"
