@@ -11,6 +11,7 @@ from mocap.io.session import Session
 from mocap.io.session.record import Finding
 from mocap.pose.deviation import landmark_kind
 from mocap.pose.foresight import Foresight, foresee, next_camera, sees_whole
+from mocap.volume import look_at_point
 
 # Somebody of average height, where nobody is known.
 _HEIGHT_M = 1.75
@@ -46,7 +47,9 @@ def check_foresight(session: Session) -> list[Finding]:
 def whole_places(rig: CameraRig, height_m: float) -> Array:
     """Places (P, 2) m of the floor where somebody is seen from head to foot by most cameras, two at least."""
     centers = np.array([camera.center[:2] for camera in rig])
-    low, high = centers.min(axis=0), centers.max(axis=0)
+    # Cameras at one side enclose nothing: people are also at the other side of what they look at.
+    around = np.concatenate([centers, 2.0 * look_at_point(rig)[:2] - centers])
+    low, high = around.min(axis=0), around.max(axis=0)
     axes = [
         np.linspace(a, b, max(2, min(60, round((b - a) / _CELL_M)))) for a, b in zip(low, high, strict=True)
     ]
@@ -70,7 +73,8 @@ def _words(found: Foresight) -> str:
     rows = [[i for i, name in enumerate(found.names) if landmark_kind(name) == kind] for kind in kinds]
     by_kind = [np.sqrt((found.deviation_m[:, own] ** 2).mean()) for own in rows]
     worst, best = int(np.argmax(by_kind)), int(np.argmin(by_kind))
-    spread = f", {1000 * found.mean_m.min():.0f} to {1000 * found.mean_m.max():.0f} from place to place"
+    low, high = 1000 * found.mean_m.min(), 1000 * found.mean_m.max()
+    spread = f", {low:.0f} to {high:.0f} from place to place" if high - low > 1 else ""
     return (
         f"by where the cameras stand, landmarks can be expected {1000 * found.mean_m[0]:.0f} mm off in the middle"
         f"{spread}"

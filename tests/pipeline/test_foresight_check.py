@@ -49,6 +49,15 @@ def test_one_more_camera_is_proposed_where_it_helps(session: Session) -> None:
     assert min(away) > 0.5
 
 
+def test_cameras_at_one_side_see_what_is_before_them(session: Session) -> None:
+    centers = np.array([camera.center[:2] for camera in session.rig])
+    apart = np.linalg.norm(centers[:, None] - centers[None], axis=2) + 9 * np.eye(len(centers))
+    pair = session.rig.subset([session.rig.names[k] for k in np.unravel_index(apart.argmin(), apart.shape)])
+    places = whole_places(pair, 1.75)
+    assert np.linalg.norm(places, axis=1).min() < 0.3, "the middle of the room"
+    assert len(check_foresight(replace(session, rig=pair))) == 2
+
+
 def test_many_cameras_need_no_other(session: Session) -> None:
     more = [replace(c, name=f"{c.name}_{i}") for i in range(2) for c in session.rig]
     assert len(check_foresight(replace(session, rig=CameraRig(tuple(more))))) == 1
