@@ -44,6 +44,7 @@ from mocap.volume import (
     usable_cameras,
 )
 from mocap.volume.depth import DepthView, is_free, measured_surface
+from mocap.volume.phantoms import phantoms
 
 _EMPTY_SHARE = 0.1
 _GAP_S = 0.5  # a shorter one is bridged by the track
@@ -137,6 +138,9 @@ class _Carving:
         if len(voxels) and (is_hidden or fewer is not None):
             weak = carved(fewer or min_views, _HIDDEN_VOTES if is_hidden else None)
             voxels = _grown(voxels, weak, self.grid)
+        is_surface = surface_voxels(voxels, self.grid)
+        is_somebody = ~phantoms(voxels, is_surface, self.grid, carver.rig, own)
+        voxels, is_surface = voxels[is_somebody], is_surface[is_somebody]
         unknown = np.zeros(0, dtype=np.int32)
         if carver.occluders is not None and len(voxels):
             subs, reach = self.grid.subscripts(voxels), round(_AROUND_M / self.grid.voxel_size_m)
@@ -144,7 +148,6 @@ class _Carving:
             unknown = carver.unknown(own, *box, n_faulty_views=k, min_views=min_views)
             unknown = np.setdiff1d(unknown, voxels, assume_unique=True)
         images = None if pictures is None else [pictures[i] for i in rows]
-        is_surface = surface_voxels(voxels, self.grid)
         hull = colour_hull(voxels, is_surface, self.grid, carver.rig, images, settings.visibility)
         return hull, unknown
 
