@@ -1,6 +1,6 @@
 """Few cameras: what two, three and four of a session's cameras give, beside what `foresee` expects of where they stand.
 
-    python -m eval.few_cameras [SESSION ...]     # walks and two persons, among the development sessions
+    python -m eval.few_cameras [SESSION ...]     # two walks, among the development sessions
     python -m eval.few_cameras --test            # sessions that the foresight's numbers were not chosen on
 
 Of every session pairs at about 50, 100 and 150 degrees, the most even and the narrowest three and four cameras, and

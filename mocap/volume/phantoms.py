@@ -23,7 +23,7 @@ _LEAST_LITRES = 5.0
 # cameras, .7 and more of the persons.
 _LEAST_SHARE = 0.1
 # Of two cameras, both rays of a person may go through phantoms. Among two to four posts in random places all of 61
-# phantoms went, and none of 159 posts, with four to seven cameras (scenes as in tests/volume/test_phantoms.py); with three
+# phantoms went, and none of 159 posts, with four to seven cameras (as in tests/volume/test_phantoms.py); with three
 # 26 of 30, and one of 54 posts.
 _LEAST_CAMERAS = 4
 _N_POINTS = 1500  # of a piece's surface that are looked at
