@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eval.session_tables import RESULTS, Row, names_of, session_of, session_parser, write_table
+from eval.whole import write_text
 from mocap.body import load_body_model, scale_body
 from mocap.compare import CompareOptions, compare
 from mocap.data import CameraRig
@@ -83,7 +84,7 @@ def some_cameras(session: Path, names: tuple[str, ...], work: Path) -> Path:
         own = session / "session.toml"
         lines = own.read_text(encoding="utf-8") if own.exists() else ""
         listed = ", ".join(f'"{name}"' for name in names)
-        (root / "session.toml").write_text(f"cameras = [{listed}]\n{lines}", encoding="utf-8")
+        write_text(root / "session.toml", f"cameras = [{listed}]\n{lines}")
     return root
 
 
