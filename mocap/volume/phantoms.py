@@ -13,18 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.arrays import Array, Mask
-from mocap.data import CameraRig, VoxelGrid
+from mocap.data import Camera, CameraRig, VoxelGrid
 from mocap.data.voxels import Voxels
 from mocap.volume.components import connected_components
 
 # Pieces that could be taken for somebody; smaller ones are hands, or crumbs.
 _LEAST_LITRES = 5.0
-# Of a piece's pixels, the median over cameras: 0 of 18 of 19 phantoms of over 8 litres among three persons before seven
-# cameras, .7 and more of the persons.
+# Of a piece's pixels, the median over cameras: next to none of a phantom, most of a person (decision 62).
 _LEAST_SHARE = 0.1
-# Of two cameras, both rays of a person may go through phantoms. Among two to four posts in random places all of 61
-# phantoms went, and none of 159 posts, with four to seven cameras (as in tests/volume/test_phantoms.py); with three
-# 26 of 30, and one of 54 posts.
+# Both rays of a person may go through phantoms; of three cameras persons were taken too (decision 62).
 _LEAST_CAMERAS = 4
 _N_POINTS = 1500  # of a piece's surface that are looked at
 _LEAST_POINTS = 20  # in a silhouette, for a camera to have a say
@@ -51,7 +48,7 @@ def phantoms(
         return np.take(gone, labels)
     rows = _spread(labels, is_surface, n)
     views = [
-        _View(camera.project(grid.centers(voxels[rows]))[0], labels[rows], n, mask)
+        _View(camera, grid.centers(voxels[rows]), labels[rows], n, mask)
         for camera, mask in zip(rig, masks, strict=True)
     ]
     while len(judged) > 1:
@@ -66,13 +63,13 @@ def phantoms(
 class _View:
     """What the pieces cover in one picture, in cells of about a voxel."""
 
-    def __init__(self, uv: Array, labels: NDArray[np.integer], n: int, mask: Mask) -> None:
+    def __init__(
+        self, camera: Camera, points: Array, labels: NDArray[np.integer], n: int, mask: Mask
+    ) -> None:
         height, width = mask.shape
         side = max(1.0, _CELL * width)
-        with np.errstate(invalid="ignore"):
-            inside = (
-                (uv[:, 0] > -0.5) & (uv[:, 1] > -0.5) & (uv[:, 0] < width - 0.5) & (uv[:, 1] < height - 0.5)
-            )
+        uv, _ = camera.project(points)
+        inside = camera.contains(uv)
         at = np.round(uv[inside]).astype(np.int64)
         self._piece = labels[inside]
         columns = int(width / side) + 1
