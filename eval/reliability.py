@@ -73,6 +73,12 @@ PROMISES = (
         ("tests/pipeline/test_one_output_folder.py",),
     ),
     Promise(
+        "outside",
+        "No command puts results into a session, where the next run would take them for input",
+        "eleven commands that take `-o`, in three places of a session, by links, with the session known or not",
+        ("tests/pipeline/test_outside.py",),
+    ),
+    Promise(
         "kills",
         "A run that is killed at any instant goes on to the bytes of one that never was",
         "12 kills of a run that goes on from each, outputs and store compared",
@@ -107,6 +113,15 @@ PROMISES = (
         ("tests/pipeline/test_early_failures.py",),
     ),
     Promise(
+        "memory",
+        "Too little memory ends in one message",
+        "limits from 60 to 700 MB, and what Python, OpenCV, threads and libraries that are loaded say of it",
+        (
+            "tests/cli/test_program.py::test_a_limit_of_memory_below_what_libraries_take_is_told",
+            "tests/cli/test_program.py::test_whoever_runs_out_of_memory_reads_so",
+        ),
+    ),
+    Promise(
         "strangers",
         "Whatever a file holds, reading it ends in a value or in one message",
         "10,000 damaged files of 49 kinds",
@@ -125,13 +140,13 @@ PROMISES = (
     Promise(
         "cameras",
         "Cameras that lie are named: those that change, and those whose calibration is wrong from the start",
-        "faults put into silhouettes; the tables below for whole runs",
+        "faults put into silhouettes; whole runs in the tables below, which also tell what is missed",
         ("tests/volume/test_camera_faults.py", "tests/volume/test_rig_agreement.py"),
     ),
     Promise(
         "uncertainty",
         "What the run could not know shows in one score, `silent_error_percent`",
-        "errors flagged, inside and outside their regions",
+        "errors flagged, inside and outside their regions; its goals, and those of the regions, are missed as told below",
         ("tests/metrics/test_volume_and_coverage.py", "tests/compare/test_evaluate.py"),
     ),
     Promise(

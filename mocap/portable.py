@@ -44,6 +44,16 @@ def limit_memory(n_bytes: int) -> None:
             resource.setrlimit(resource.RLIMIT_AS, (n_bytes, most))
 
 
+def memory_limit_bytes() -> int | None:
+    """What this process may map at most, by `ulimit -v` or a batch system; None where there is no such limit."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if soft == resource.RLIM_INFINITY else soft
+
+
 class Stopped(BaseException):
     """A signal that ends the command; not an Exception, so that nobody on the way takes it for a failure."""
 

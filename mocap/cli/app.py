@@ -12,13 +12,30 @@ import typer
 from mocap.cli import calibrate, cluster, compare, depth, edit, init, join, live, run, sync, synth, tools
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
-from mocap.portable import Stopped, find_kernel_cache, stoppable
+from mocap.portable import Stopped, find_kernel_cache, memory_limit_bytes, stoppable
 
 app = typer.Typer(
     name="mocap",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
+)
+# Address space that loading all libraries takes, most of it never touched: `mocap check` with `ulimit -v` fails with
+# 700 MB and passes with 900 MB.
+_LEAST_MAPPED_BYTES = 900 * 2**20
+_USUAL_MAPPED_GB = 4
+# What Python, cv2.error, threads and llvmlite call it.
+_SHORT_OF_MEMORY = (
+    "failed to map segment",
+    "cannot allocate memory",
+    "Cannot allocate memory",
+    "Insufficient memory",
+    "can't start new thread",
+    "libllvmlite",
+)
+_OUT_OF_MEMORY = (
+    "out of memory. Remedy: close other programs or raise the limit (ulimit -v), use larger voxels "
+    "(--set volume.voxel_size_m=0.03) or a smaller room."
 )
 # In the order of `mocap --help`.
 COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
@@ -90,6 +107,14 @@ def _program(
 
     Start with `mocap demo`, then `mocap check SESSION` and `mocap run SESSION -o OUT` on your own folder.
     """
+    # Looked at beforehand: with less, libraries of others end the process without a word that could be caught.
+    limit = memory_limit_bytes()
+    if limit is not None and limit < _LEAST_MAPPED_BYTES:
+        raise MocapError(
+            f"this shell lets a program use {limit / 2**20:.0f} MB of memory, which is less than its libraries take",
+            remedy=f"raise the limit to {_USUAL_MAPPED_GB} GB or more (ulimit -v unlimited), or ask the batch system "
+            "for as much",
+        )
 
 
 def main() -> None:
@@ -106,13 +131,22 @@ def main() -> None:
         sys.stderr.close()
         sys.exit(1)
     except OSError as error:
+        if _is_short_of_memory(error):
+            _fail(_OUT_OF_MEMORY)
         name = f" (file {error.filename})" if error.filename else ""
         _fail(
             f"{error.strerror or error}{name}. Remedy: check that the disk has space left and that files and "
             "folders may be read and written."
         )
-    except MemoryError:
-        _fail("out of memory. Remedy: use larger voxels (--set volume.voxel_size_m=0.03) or a smaller room.")
+    except Exception as error:
+        if not _is_short_of_memory(error):
+            raise
+        _fail(_OUT_OF_MEMORY)
+
+
+def _is_short_of_memory(error: BaseException) -> bool:
+    """Python says MemoryError; libraries that are loaded, OpenCV and threads have words of their own."""
+    return isinstance(error, MemoryError) or any(words in str(error) for words in _SHORT_OF_MEMORY)
 
 
 def _fail(message: str, code: int = 2) -> None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from mocap.errors import MocapError
 from mocap.io._files import writing
 from mocap.pipeline.doctor import examine
+from mocap.pipeline.outside import check_outside
 from mocap.pipeline.publish import RUN_FILE
 
 _TABLES = (
@@ -53,8 +54,10 @@ Pictures, masks and volumes are not in it. Folders of the user are written as $H
 def write_bundle(out: Path, path: Path, session: Path | None = None) -> list[str]:
     """Write the bundle of a run's output folder; gives the names in it.
 
-    session : its calibration and session.toml come along. Raises MocapError when `out` holds no run.
+    session : its calibration and session.toml come along. Raises MocapError when `out` holds no run, and
+    for a file in a session.
     """
+    check_outside(path, *(() if session is None else (session,)))
     if not (out / RUN_FILE).is_file():
         raise MocapError(
             "there is no run in this folder", path=out, remedy="give the output folder of `mocap run`"

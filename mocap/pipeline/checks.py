@@ -13,6 +13,7 @@ from mocap.io.session import Session
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.io.truth import read_true_voxels
 from mocap.pipeline.config import Config
+from mocap.pipeline.outside import check_outside
 from mocap.pipeline.pose_settings import check_filter, stated_height_m
 from mocap.pipeline.publish import check_replaceable
 from mocap.pipeline.stages.carve import faulty_views, grid_of
@@ -109,13 +110,7 @@ def check_truth(session: Session) -> None:
 
 def check_out(out: Path, session: Session) -> None:
     """Make the output folder. Raises MocapError when it is part of the session, or cannot be written."""
-    root = session.root.resolve()
-    if out.resolve() == root or root in out.resolve().parents:
-        raise MocapError(
-            "results do not belong into the session: they would be taken for its input",
-            path=out,
-            remedy="choose a folder beside it with -o",
-        )
+    check_outside(out, session.root)
     probe = out / ".mocap-write-test"
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -17,6 +17,7 @@ from mocap.io._files import writing
 from mocap.io.formats import voxels, write_bids_motion, write_mesh, write_movement
 from mocap.io.store import StageStore
 from mocap.pipeline.outputs import MotionStyle, motion_writers
+from mocap.pipeline.outside import check_outside
 from mocap.pose.result import PersonPoses, motion_of
 from mocap.products import poses as poses_product
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
@@ -60,7 +61,8 @@ def export_run(
     what, format : see EXPORTS; format None = the first one.  frames : (start, stop) in frames of the session, either
     may be None. Motion holds the frames that a person was followed in.  cubes : voxels in PLY as coloured faces.
     style : how motion is written.
-    Raises MocapError for an unknown kind or format, a folder without such a result, or a range without frames.
+    Raises MocapError for an unknown kind or format, a folder without such a result, a range without frames, or a
+    session as `folder`.
     """
     if what not in EXPORTS:
         raise MocapError(f"nothing named {what!r} can be exported", remedy=f"use one of {', '.join(EXPORTS)}")
@@ -69,6 +71,7 @@ def export_run(
         raise MocapError(
             f"{what} cannot be written as {chosen!r}", remedy=f"use one of {', '.join(EXPORTS[what])}"
         )
+    check_outside(folder)
     check_one_run(out, PRODUCT if what in ("voxels", "mesh") else poses_product.PRODUCT)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)

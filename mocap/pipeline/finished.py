@@ -16,6 +16,7 @@ from mocap.pipeline.edits.beside import tracks_after, tracks_before
 from mocap.pipeline.edits.meaning import check_reach, pose_edits_of, renamings_of
 from mocap.pipeline.edits.model import Edits, PinLandmark
 from mocap.pipeline.lock import sole_use
+from mocap.pipeline.outside import check_outside
 from mocap.pipeline.overlay_video import overlay_videos
 from mocap.pipeline.particles import particle_layers
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, record_from_json
@@ -77,6 +78,8 @@ def rewrite_scene(
     every layer are shown; None = in none.
     """
     target = out / "scene.rrd" if path is None else path
+    if path is not None:
+        check_outside(path, session)
     with sole_use(_folder_of_run(out), f"mocap view {out}"):
         run = open_run(out, session)
         check_cameras(run.found, pictures, "--pictures")

@@ -19,6 +19,7 @@ from mocap.io.formats.voxels import UNSEEN_GREY
 from mocap.io.session import Session, open_session
 from mocap.io.session.reading import depth_of, pictures_of
 from mocap.io.video import Image
+from mocap.pipeline.outside import check_outside
 from mocap.pipeline.refine import check_new
 from mocap.progress import Progress, no_progress
 from mocap.volume.depth_fusion import fused_surface
@@ -57,6 +58,7 @@ def export_clouds(
     Readings at edges, which may lie where nothing is, are left out. Gives the files. Raises MocapError for a session
     that cannot be opened or has no depth.
     """
+    check_outside(folder, session)
     opened = _with_depth(open_session(session, calibration=calibration, frames=frames))
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -83,6 +85,7 @@ def export_room(
     path : .ply in the world, or .glb with Y up.  People who stay for half of the looks stay in it.
     Raises MocapError for a session that cannot be opened or has no depth, MissingExtra without Open3D or trimesh.
     """
+    check_outside(path, session)
     opened = _with_depth(open_session(session, calibration=calibration, frames=frames))
     mesh = fused_surface(_room_of(opened, progress), voxel_m=voxel_m)
     with writing(path.parent):

@@ -159,3 +159,48 @@ def test_ctrl_c_anywhere_else_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     said = mocap("eval", tmp_path, tmp_path)
     assert said.code == 130
     assert said.err.strip() == "mocap: stopped by SIGINT. It was not done; repeat the command."
+
+
+@pytest.mark.parametrize("limit_mb", [60, 120, 400, 700])
+def test_a_limit_of_memory_below_what_libraries_take_is_told(limit_mb: int) -> None:
+    """Without the look beforehand the end is a traceback, a segmentation fault, or OpenBLAS's own words."""
+    pytest.importorskip("resource", reason="limits of memory are a matter of POSIX")
+    limits = "import resource as r; _, hard = r.getrlimit(r.RLIMIT_AS)"
+    code = (
+        f"{limits}; r.setrlimit(r.RLIMIT_AS, ({limit_mb} * 2**20, hard)); from mocap.cli import main; main()"
+    )
+    words = [sys.executable, "-c", code, "check", "nowhere"]
+    done = subprocess.run(words, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith(f"mocap: error: this shell lets a program use {limit_mb} MB of memory")
+    assert "ulimit -v" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        ImportError("cv2.abi3.so: failed to map segment from shared object"),
+        OSError("Could not find/load shared object file 'libllvmlite.so'"),
+        OSError(12, "Cannot allocate memory"),
+        RuntimeError("can't start new thread"),
+    ],
+)
+def test_whoever_runs_out_of_memory_reads_so(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def fail(*arguments: object, **options: object) -> None:
+        raise error
+
+    monkeypatch.setattr("mocap.pipeline.doctor.examine", fail)
+    said = mocap("doctor")
+    assert said.code == 2
+    assert said.err.startswith("mocap: error: out of memory. Remedy: ")
+
+
+def test_other_failures_are_not_called_a_lack_of_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise RuntimeError("a mistake of ours")
+
+    monkeypatch.setattr("mocap.pipeline.doctor.examine", fail)
+    with pytest.raises(RuntimeError, match="a mistake of ours"):
+        mocap("doctor")

@@ -17,6 +17,7 @@ from mocap.pipeline.cluster.tables import Row, write_tables
 from mocap.pipeline.config import config_hash, load_config, presets
 from mocap.pipeline.join import check_joinable, join_runs, piece_frames
 from mocap.pipeline.keys import stage_keys
+from mocap.pipeline.outside import check_outside
 from mocap.pipeline.reach import code_hash
 from mocap.pipeline.record import OUTPUTS
 from mocap.pipeline.run import run_session
@@ -89,6 +90,7 @@ def run_batch(
     A session whose run is there, with the same inputs, configuration, seed and code, is not run again.
     A session that fails is a row with its error. Raises as `run_sweep`.
     """
+    check_outside(out, *sessions)
     names = session_names(sessions)
     common = {
         "preset": preset if preset in presets() else str(Path(preset).resolve()),

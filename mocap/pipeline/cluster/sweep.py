@@ -28,6 +28,7 @@ from mocap.pipeline.cluster.spec import SweepCell, SweepSpec, plan_cells, sessio
 from mocap.pipeline.cluster.tables import Row, write_tables
 from mocap.pipeline.config import Config, config_hash, load_config
 from mocap.pipeline.keys import stage_keys
+from mocap.pipeline.outside import check_outside
 from mocap.pipeline.reach import code_hash
 from mocap.pipeline.run import run_session
 
@@ -94,6 +95,7 @@ def run_sweep(
     A cell that fails is a row with its error. Raises MocapError for settings that no cell could have, before
     anything is run, and as `run_jobs` does.
     """
+    check_outside(out, *spec.sessions)
     cells = plan_cells(spec) if cells is None else cells
     planned = list(plan_jobs(spec, cells, out, n_threads=n_threads, keep_runs=keep_runs))
     jobs: dict[str, Job] = {}
