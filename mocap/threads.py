@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import queue
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cache
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+_TURN_S = 1e-4  # a tenth of the kernels that are called most
 
 
 def worker_threads(n: int) -> ThreadPoolExecutor:
@@ -27,13 +32,47 @@ def _pool(n: int, process: int) -> ThreadPoolExecutor:
 
 
 def in_parallel(job: Callable[[T], R], items: Sequence[T], n_threads: int) -> list[R]:
-    """job(item) of every item, in their order, on up to n_threads threads.
+    """job(item) of every item, in their order, on up to n_threads threads, of which the caller's is one.
 
+    The caller takes the next item like everybody else, so that it never waits for threads that are busy elsewhere.
     Raises what the first job that fails raises.
     """
     if n_threads <= 1 or len(items) <= 1:
         return [job(item) for item in items]
-    return list(worker_threads(n_threads).map(job, items))
+    found: list[Any] = [None] * len(items)
+    failed: dict[int, BaseException] = {}
+    coming = itertools.count()  # its next() is one step of the interpreter
+
+    def work() -> None:
+        while (k := next(coming)) < len(items) and not failed:
+            try:
+                found[k] = job(items[k])
+            except BaseException as error:
+                failed[k] = error
+
+    others = [worker_threads(n_threads).submit(work) for _ in range(min(n_threads, len(items)) - 1)]
+    work()
+    for other in others:
+        if not other.cancel():  # it has begun: perhaps it is at work on the last item
+            other.result()
+    if failed:
+        raise failed[min(failed)]
+    return found
+
+
+@contextmanager
+def quick_turns() -> Iterator[None]:
+    """A thread that wants the interpreter inside gets it sooner than Python would give it.
+
+    Compiled kernels run beside it and want it for moments: with Python's own 5 ms a frame's poses wait for it longer
+    than they take.
+    """
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(min(before, _TURN_S))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
 
 
 class AtOnce(Executor):

@@ -13,6 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+# Columns that are worked on side by side: sorting them touches 8 kB of 31 samples, and fills whole instructions.
+_COLUMNS = 256
+
 
 @njit(cache=True, nogil=True)
 def robust_statistics(samples, far, mean, std, moved):
@@ -22,56 +25,76 @@ def robust_statistics(samples, far, mean, std, moved):
     median.
     """
     n, m = samples.shape
-    values = np.empty(n, dtype=np.uint8)
-    for i in range(m):
-        _sort_column(samples, i, values)
-        half = n // 2
-        best = 0
-        width = np.int32(values[half]) - np.int32(values[0])
-        for k in range(1, n - half):
-            w = np.int32(values[k + half]) - np.int32(values[k])
-            if w < width:
-                width = w
-                best = k
-        # The shortest half of a normal sample spans 1.349 standard deviations about the mean.
-        center = (np.int32(values[best]) + np.int32(values[best + half])) // 2
-        spread = np.float32(width) / np.float32(1.349)
-        reach = np.float32(2.5) * spread + np.float32(3.0)
-        total = np.float32(0.0)
-        square = np.float32(0.0)
-        count = np.float32(0.0)
+    half = n // 2
+    block = np.empty((n, _COLUMNS), dtype=np.uint8)
+    width, best = np.empty(_COLUMNS, dtype=np.uint8), np.empty(_COLUMNS, dtype=np.uint8)
+    center, reach = np.empty(_COLUMNS, dtype=np.float32), np.empty(_COLUMNS, dtype=np.float32)
+    total, square = np.empty(_COLUMNS, dtype=np.float32), np.empty(_COLUMNS, dtype=np.float32)
+    count = np.empty(_COLUMNS, dtype=np.float32)
+    for first in range(0, m, _COLUMNS):
+        size = min(_COLUMNS, m - first)
+        _sort_columns(samples, first, size, block)
+        width[:] = 255
+        best[:] = 0
+        for k in range(n - half):
+            low, high = block[k], block[k + half]
+            for i in range(_COLUMNS):
+                w = np.uint8(high[i] - low[i])
+                is_less = w < width[i]
+                width[i] = w if is_less else width[i]
+                best[i] = np.uint8(k) if is_less else best[i]
+        for i in range(size):
+            # The shortest half of a normal sample spans 1.349 standard deviations about the mean.
+            center[i] = np.float32((np.int32(block[best[i], i]) + np.int32(block[best[i] + half, i])) // 2)
+            reach[i] = np.float32(2.5) * (np.float32(width[i]) / np.float32(1.349)) + np.float32(3.0)
+        total[:] = 0.0
+        square[:] = 0.0
+        count[:] = 0.0
         for k in range(n):
-            d = np.float32(np.int32(values[k]) - center)
-            if abs(d) <= reach:
-                total += d
-                square += d * d
-                count += np.float32(1.0)
-        off = total / count
-        mean[i] = np.float32(center) + off
-        std[i] = np.sqrt(max(square / count - off * off, np.float32(0.0)))
-        moved[i] = np.uint8(np.int32(values[n - 1]) - center > far or center - np.int32(values[0]) > far)
+            row = block[k]
+            for i in range(_COLUMNS):
+                d = np.float32(row[i]) - center[i]
+                is_near = abs(d) <= reach[i]
+                total[i] += d if is_near else np.float32(0.0)
+                square[i] += d * d if is_near else np.float32(0.0)
+                count[i] += np.float32(1.0) if is_near else np.float32(0.0)
+        for i in range(size):
+            off = total[i] / count[i]
+            mean[first + i] = center[i] + off
+            std[first + i] = np.sqrt(max(square[i] / count[i] - off * off, np.float32(0.0)))
+            highest, lowest = np.float32(block[n - 1, i]), np.float32(block[0, i])
+            moved[first + i] = np.uint8(highest - center[i] > far or center[i] - lowest > far)
 
 
 @njit(cache=True, nogil=True)
-def _sort_column(samples, i, values):
-    """Column i of samples (n, m) in order, into values (n,); n is small."""
-    for k in range(len(values)):
-        x = samples[k, i]
-        j = k
-        while j > 0 and values[j - 1] > x:
-            values[j] = values[j - 1]
-            j -= 1
-        values[j] = x
+def _sort_columns(samples, first, size, block):
+    """The columns [first, first + size) of samples (n, m) in order, into the first of block (n, _COLUMNS); n is small.
+
+    Neighbouring rows are exchanged, all columns at once: many more exchanges than one column needs, 30 in one go.
+    """
+    n = len(samples)
+    for k in range(n):
+        block[k, :size] = samples[k, first : first + size]
+        block[k, size:] = block[k, 0]
+    for turn in range(n):
+        for k in range(turn % 2, n - 1, 2):
+            low, high = block[k], block[k + 1]
+            for i in range(_COLUMNS):
+                a, b = low[i], high[i]
+                low[i] = b if b < a else a
+                high[i] = a if b < a else b
 
 
 @njit(cache=True, nogil=True)
 def medians(samples, out):
     """Medians (m,) float32, out, of samples (n, m) float32."""
     n, m = samples.shape
-    values = np.empty(n, dtype=np.float32)
-    for i in range(m):
-        _sort_column(samples, i, values)
-        out[i] = (values[(n - 1) // 2] + values[n // 2]) / np.float32(2)
+    block = np.empty((n, _COLUMNS), dtype=np.float32)
+    for first in range(0, m, _COLUMNS):
+        size = min(_COLUMNS, m - first)
+        _sort_columns(samples, first, size, block)
+        for i in range(size):
+            out[first + i] = (block[(n - 1) // 2, i] + block[n // 2, i]) / np.float32(2)
 
 
 CLEAR, RIM, PERSON = 1, 2, 3  # of a pixel of a key picture; 0 = no key picture

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 
 from mocap.arrays import Array
+from mocap.geometry import _projection_kernels
 
-# Nearest depth that projects. Closer points are numerically at the optical centre.
-MIN_DEPTH_M = 1e-6
 _MAX_TAN = 50.0  # search limit for the fold: tan(88.9 deg)
 
 
@@ -66,24 +65,19 @@ def project_points(
     Source: CF Eq. 2.1-2.8.
     """
     points = np.asarray(points_world, dtype=np.float64)
-    flat = points.reshape(-1, 3)
-    cam = flat @ R.T + t
-    depth = cam[:, 2].copy()
-    uv = np.full((len(flat), 2), np.nan)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        radius = np.hypot(cam[:, 0], cam[:, 1])
-        reach = np.arctan2(radius, depth) if is_fisheye else radius / depth
-        ok = (depth > MIN_DEPTH_M) & (reach <= max_normalised_radius(dist, is_fisheye))
-    if ok.any():
-        zero = np.zeros(3)
-        good = np.ascontiguousarray(cam[ok]).reshape(-1, 1, 3)
-        if is_fisheye:
-            coefficients = np.zeros(4)
-            coefficients[: min(4, len(dist))] = dist[:4]
-            projected, _ = cv2.fisheye.projectPoints(good, zero, zero, K, coefficients)
-        else:
-            projected, _ = cv2.projectPoints(good, zero, zero, K, np.asarray(dist, dtype=np.float64))
-        uv[ok] = projected.reshape(-1, 2)
+    flat = np.ascontiguousarray(points.reshape(-1, 3))
+    uv, depth = np.empty((len(flat), 2)), np.empty(len(flat))
+    d = np.zeros(max(8, len(dist)))
+    d[: len(dist)] = dist
+    n_compiled = 4 if is_fisheye else 8
+    # A model with thin prisms or a tilted sensor is OpenCV's alone: here is only where it looks.
+    is_compiled = is_fisheye or not d[n_compiled:].any()
+    project = _projection_kernels.project_fisheye if is_fisheye else _projection_kernels.project_pinhole
+    matrices = (np.ascontiguousarray(own, dtype=np.float64) for own in (R, t, K))
+    project(flat, *matrices, d[:8], max_normalised_radius(dist, is_fisheye), uv, depth)
+    if not is_compiled and len(seen := np.flatnonzero(~np.isnan(uv[:, 0]))):
+        rotation, _ = cv2.Rodrigues(np.asarray(R, dtype=np.float64))
+        uv[seen] = cv2.projectPoints(flat[seen], rotation, np.asarray(t, dtype=np.float64), K, d)[0][:, 0]
     return uv.reshape(*points.shape[:-1], 2), depth.reshape(points.shape[:-1])
 
 

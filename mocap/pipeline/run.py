@@ -51,7 +51,7 @@ from mocap.products.one_run import hashes_in
 from mocap.products.poses import stored_poses
 from mocap.profiling import part
 from mocap.progress import Progress, no_progress
-from mocap.threads import AtOnce
+from mocap.threads import AtOnce, quick_turns
 
 
 def run_session(
@@ -104,7 +104,7 @@ def run_session(
         n_threads=n_threads or min(2, os.cpu_count() or 1),
         progress=progress or no_progress,
     )
-    with sole_use(out, command), compilation_shown(job.progress):
+    with sole_use(out, command), compilation_shown(job.progress), quick_turns():
         try:
             steps = list(_steps(job, kind, until, resume=resume, rehash=rehash))
             return publish_run(job, out, found_in(job, kind, until), steps, until=until, command=command)

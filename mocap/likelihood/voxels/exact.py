@@ -25,7 +25,7 @@ from mocap.likelihood.voxels._exact_kernels import (
     part_scores_kernel,
     take_voxels,
 )
-from mocap.threads import worker_threads
+from mocap.threads import in_parallel
 
 SURFACE_MAX = 127  # bits 0-6 of a packed voxel
 OCCUPIED_BIT = 128  # bit 7
@@ -183,8 +183,7 @@ def run_chunks(score: Callable[[int, int], None], n: int, n_threads: int) -> Non
         score(0, n)
         return
     edges = np.linspace(0, n, n_chunks + 1).astype(int)
-    for job in [worker_threads(n_chunks).submit(score, a, b) for a, b in itertools.pairwise(edges)]:
-        job.result()
+    in_parallel(lambda chunk: score(*chunk), list(itertools.pairwise(edges)), n_chunks)
 
 
 def _counts_to_scores(counts: NDArray[np.int64], size: Array, size_surface: Array) -> PartScores:
