@@ -146,7 +146,7 @@ PROMISES = (
     Promise(
         "uncertainty",
         "What the run could not know shows in one score, `silent_error_percent`",
-        "errors flagged, inside and outside their regions; its goals, and those of the regions, are missed as told below",
+        "errors flagged, in and outside their regions; its goals, and those of regions, are missed as told below",
         ("tests/metrics/test_volume_and_coverage.py", "tests/compare/test_evaluate.py"),
     ),
     Promise(

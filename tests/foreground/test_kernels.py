@@ -320,3 +320,32 @@ def test_gains_of_cells() -> None:
         expected = np.median(chosen) if 4 * len(chosen) >= usable[cell].size else 0.0
         assert gain == pytest.approx(expected, rel=1e-5)
     assert gains[0, 0] == 0.0
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 5), (2, 256), (3, 255), (24, 600), (31, 257)])
+def test_robust_statistics_of_columns(n: int, m: int) -> None:
+    rng = np.random.default_rng(n)
+    usual = rng.integers(0, 256, m)
+    samples = usual + rng.normal(0, 3, (n, m)) + (rng.random((n, m)) < 0.15) * rng.integers(-120, 120, (n, m))
+    samples = np.clip(samples, 0, 255).astype(np.uint8)
+    mean, std = np.empty((2, m), dtype=np.float32)
+    moved = np.empty(m, dtype=np.uint8)
+    kernels.robust_statistics(samples, 20, mean, std, moved)
+    ordered, half, columns = np.sort(samples, axis=0).astype(np.int64), n // 2, np.arange(m)
+    best = (ordered[half:] - ordered[: n - half]).argmin(axis=0)
+    low, high = ordered[best, columns], ordered[best + half, columns]
+    center, spread = (low + high) // 2, (high - low) / 1.349
+    is_near = np.abs(ordered - center) <= 2.5 * spread + 3
+    off = np.where(is_near, ordered - center, 0).sum(axis=0) / is_near.sum(axis=0)
+    square = np.where(is_near, (ordered - center) ** 2, 0).sum(axis=0) / is_near.sum(axis=0)
+    np.testing.assert_allclose(mean, center + off, atol=1e-4)
+    np.testing.assert_allclose(std, np.sqrt(np.maximum(square - off**2, 0)), atol=2e-2)
+    np.testing.assert_array_equal(moved, np.abs(ordered - center).max(axis=0) > 20)
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 3), (8, 256), (9, 700)])
+def test_medians_of_columns(n: int, m: int) -> None:
+    samples = np.random.default_rng(n).normal(size=(n, m)).astype(np.float32)
+    out = np.empty(m, dtype=np.float32)
+    kernels.medians(samples, out)
+    np.testing.assert_allclose(out, np.median(samples, axis=0), atol=1e-6)

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocap.geometry.projection import MIN_DEPTH_M, max_normalised_radius, project_points, rays_from_pixels
+from mocap.geometry._projection_kernels import MIN_DEPTH_M
+from mocap.geometry.projection import max_normalised_radius, project_points, rays_from_pixels
 
 K = np.array([[520.0, 0.0, 321.5], [0.0, 505.0, 238.25], [0.0, 0.0, 1.0]])
 R = Rotation.from_euler("zyx", [0.3, -0.7, 1.9]).as_matrix()
@@ -50,12 +51,24 @@ def test_radial_distortion_is_one_plus_k1_r2_plus_k2_r4() -> None:
     np.testing.assert_allclose(uv[ok], expected[ok], atol=1e-9)
 
 
-@pytest.mark.parametrize("dist", [NONE, BARREL, TANGENTIAL])
+RATIONAL = np.array([0.1, -0.2, 0.01, 0.003, 0.05, 0.02, 0.01, 0.003])
+TILTED = np.array([*RATIONAL, 0.01, -0.02, 0.005, 0.004, 0.03, -0.02])
+
+
+@pytest.mark.parametrize("dist", [NONE, BARREL, TANGENTIAL, RATIONAL, TILTED])
 def test_agrees_with_opencv(dist: np.ndarray) -> None:
     points = points_before_camera(30, spread=0.5)
     rvec, _ = cv2.Rodrigues(R)
     expected, _ = cv2.projectPoints(points.reshape(-1, 1, 3), rvec, T, K, dist)
     uv, _ = project_points(points, K, dist, R, T)
+    np.testing.assert_allclose(uv, expected.reshape(-1, 2), atol=1e-8)
+
+
+def test_fisheye_agrees_with_opencv() -> None:
+    points, dist = points_before_camera(30, spread=0.8), np.array([0.05, -0.02, 0.003, 0.001])
+    rvec, _ = cv2.Rodrigues(R)
+    expected, _ = cv2.fisheye.projectPoints(points.reshape(-1, 1, 3), rvec, T, K, dist)
+    uv, _ = project_points(points, K, dist, R, T, is_fisheye=True)
     np.testing.assert_allclose(uv, expected.reshape(-1, 2), atol=1e-8)
 
 
