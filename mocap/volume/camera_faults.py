@@ -228,12 +228,19 @@ def find_faults(monitor: ConsistencyMonitor, guessed: Sequence[str] = ()) -> tup
         # The hull that tells who is late had that camera in it, and one frame is what a wrong hull comes to.
         more = find_misfits(monitor.rig, samples, surely, monitor.occluders, guessed)
         misfits = more if {fault.camera for fault in more} > named else misfits
-    # Two that film each other's place look like two that are turned.
-    if len(misfits) == 2 or any(fault.kind == "rig" for fault in misfits) or _has_no_volume(evidence):
+    # Two that film each other's place look like two that are turned, or like two that see nobody.
+    is_off = len(misfits) == 2 or any(fault.kind == "rig" for fault in misfits)
+    if is_off or _n_never_fitting(faults) == 2 or _has_no_volume(evidence):
         misfits = find_exchanged(monitor.rig, evidence, monitor.outlines()) or misfits
     named = {fault.camera for fault in misfits if fault.camera}
     faults = tuple(f for f in faults if f.camera not in named)
     return tuple(sorted(faults + misfits, key=lambda f: (f.first_frame, f.camera)))
+
+
+def _n_never_fitting(faults: Sequence[CameraFault]) -> int:
+    """How many cameras have masks that never fit, or never show anybody where the others see somebody."""
+    never = (f for f in faults if f.kind in ("blind", "misfit") and f.is_from_start and f.is_to_end)
+    return len({fault.camera for fault in never})
 
 
 def _is_late_by_a_frame(fault: CameraFault) -> bool:
@@ -253,16 +260,18 @@ def find_late(monitor: ConsistencyMonitor, faults: Sequence[CameraFault]) -> tup
         blamed = set(monitor.rig.names)
     if len(blamed) < 2:
         return ()
-    evidence = monitor.evidence()
+    lags = {name: -clock.offset_s / FRAME_S for name, clock in _clocks(monitor).items() if clock.is_off}
+    lags = {name: lag for name, lag in lags.items() if _LATE_FRAMES < abs(lag) <= MAX_LAG_FRAMES}
+    lags = {name: round(lag) for name, lag in lags.items() if name in blamed}
+    if 2 * len(lags) >= len(monitor.rig):
+        return ()
+    evidence, names = monitor.evidence(), monitor.rig.names
     first, *_, last = evidence.frames.tolist()
-    late = []
-    for name, clock in _clocks(monitor).items():
-        lag = -clock.offset_s / FRAME_S
-        if not (name in blamed and clock.is_off and _LATE_FRAMES < abs(lag) <= MAX_LAG_FRAMES):
-            continue
-        if _explained_by(evidence, monitor.rig.names.index(name), round(lag)) >= _LATE_EXPLAINS:
-            late.append(CameraFault(name, "lag", first, last, True, True, lag_frames=round(lag)))
-    return tuple(late) if 2 * len(late) < len(monitor.rig) else ()
+    return tuple(
+        CameraFault(name, "lag", first, last, True, True, lag_frames=lag)
+        for name, lag in lags.items()
+        if _explained_by(evidence, names.index(name), lag) >= _LATE_EXPLAINS
+    )
 
 
 def _explained_by(evidence: SilhouetteEvidence, c: int, lag_frames: int) -> float:

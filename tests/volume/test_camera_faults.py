@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -333,6 +334,23 @@ def test_exchanged_cameras_are_named_and_left_out() -> None:
     assert found[0].message == "camera cam_1 shows what camera cam_4 should, and the other way round"
     used = usable_cameras(found, RIG.names, np.array([FIRST + 5]))[0]
     assert used.tolist() == [True, False, True, True, False, True, True]
+
+
+@pytest.mark.parametrize("kind", ["blind", "misfit"])
+def test_exchanged_cameras_that_seem_to_see_nobody_are_named(
+    kind: Literal["blind", "misfit"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    masks = clean()
+    masks[1], masks[4] = masks[4], masks[1]
+    seeming = tuple(CameraFault(c, kind, FIRST, FIRST + T - 1, True, True) for c in ("cam_1", "cam_4"))
+    monkeypatch.setattr(camera_faults, "find_camera_faults", lambda evidence: seeming)
+    monkeypatch.setattr(camera_faults, "find_misfits", lambda *args: ())
+    assert [(f.camera, f.kind) for f in find_faults(watched(masks))] == [
+        ("cam_1", "exchanged"),
+        ("cam_4", "exchanged"),
+    ]
+    healthy = tuple(find_faults(watched(clean())))
+    assert healthy == seeming
 
 
 def test_a_camera_without_masks_sees_nobody() -> None:
