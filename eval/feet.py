@@ -1,10 +1,11 @@
 """Feet against the truth: how far planted feet move, strikes and offs in frames, heels, toes and hand tips; jumps and
 squats.
 
-    python -m eval.feet [--only walk,jog] [--seeds 1] [--bodies girdle,whole,whole-free] [--work out/eval]
+    python -m eval.feet [--only walk,jog] [--seeds 1] [--bodies girdle,whole] [--work out/eval]
 
-Runs the default preset on whole scenes, masks from the videos, with the bodies `girdle` (no feet), `whole`, and `whole`
-whose feet are not held on the floor (`whole-free`); stages before the poses are computed once per scene. Writes
+Runs the default preset on whole scenes, masks from the videos, with the bodies `girdle` (no feet), `whole`, `whole`
+whose feet are not held on the floor (`whole-free`), and `whole` with outlines that weigh 8 instead of 3
+(`whole-outlines`); stages before the poses are computed once per scene. Writes
 eval/results/feet.csv: one row per scene, seed and body. `dev:NAME` is a realistic development session.
 """
 
@@ -38,6 +39,7 @@ BODIES = {
     "girdle": ("body.model=girdle",),
     "whole": ("body.model=whole",),
     "whole-free": ("body.model=whole", "method.contact.hold=0"),
+    "whole-outlines": ("body.model=whole", "pose.outline_weight=8"),
 }
 KINDS = ("heel", "toe", "hand_tip")
 FIELDS = (

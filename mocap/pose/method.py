@@ -396,7 +396,7 @@ class ContactSettings(_Strict):
     """A point that moves as fast is held with 0.6 of the weight, one of three times the speed hardly."""
     hold: float = 30.0
     """Weight of a point that rests in the fit of the body to the smoothed points, against 1 of every other; 0 = none.
-    With this, the time and the speed above a planted heel or toe moves by 4 mm instead of 23 (`python -m eval.feet
+    With this, the time and the speed above a planted heel or toe moves by 3 to 5 mm instead of 19 (`python -m eval.feet
     --only walk,dev:steps`)."""
 
 
