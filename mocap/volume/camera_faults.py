@@ -260,9 +260,9 @@ def find_late(monitor: ConsistencyMonitor, faults: Sequence[CameraFault]) -> tup
         blamed = set(monitor.rig.names)
     if len(blamed) < 2:
         return ()
-    lags = {name: -clock.offset_s / FRAME_S for name, clock in _clocks(monitor).items() if clock.is_off}
-    lags = {name: lag for name, lag in lags.items() if _LATE_FRAMES < abs(lag) <= MAX_LAG_FRAMES}
-    lags = {name: round(lag) for name, lag in lags.items() if name in blamed}
+    clocks = {name: clock for name, clock in _clocks(monitor).items() if clock.is_off and name in blamed}
+    by_frames = {name: -clock.offset_s / FRAME_S for name, clock in clocks.items()}
+    lags = {n: round(lag) for n, lag in by_frames.items() if _LATE_FRAMES < abs(lag) <= MAX_LAG_FRAMES}
     if 2 * len(lags) >= len(monitor.rig):
         return ()
     evidence, names = monitor.evidence(), monitor.rig.names
