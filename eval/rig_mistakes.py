@@ -25,6 +25,7 @@ from eval.session_tables import Row, names_of, session_of, session_parser, write
 from mocap.arrays import Array
 from mocap.data import Camera, CameraRig
 from mocap.io.session import Session, open_session
+from mocap.pipeline.empty_clips import fits_of
 from mocap.pipeline.people_check import hulls_to_check
 from mocap.volume.rig_doubts import RigDoubt, doubt_rig
 
@@ -91,7 +92,7 @@ def is_right(trial: Trial, found: RigDoubt) -> bool:
 
 def evaluate(session: Session) -> Iterator[Row]:
     """All mistakes of one session."""
-    hulls = hulls_to_check(session)
+    hulls = hulls_to_check(session, fits_of(session))
     for trial in trials(session.rig, hulls, np.random.default_rng([7, *session.root.name.encode()])):
         found = doubt_rig(trial.rig, trial.hulls)
         named = "agrees" if found.agrees else found.mistake or "unexplained"

@@ -6,38 +6,31 @@ from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import Any
 
-from mocap.arrays import Image, Mask
+from mocap.arrays import Mask
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.foreground import (
     Background,
-    Fit,
     KeyPictures,
     background_of_recording,
     first_cuts,
-    fit_background,
     key_pictures,
     learn_background,
     median_background,
     off_rim,
     reduction_of,
     refine_mask,
-    unfitted,
     with_floor,
 )
 from mocap.io.session import Session
 from mocap.io.session.reading import clip_of
-from mocap.io.video import iter_camera
 from mocap.pipeline.config import SegmentationConfig
+from mocap.pipeline.empty_clips import REMEDY, fit_of_clip, unlike_recording, words_of_fits
 from mocap.volume import Floor, Witness, choose_grid
 
 _LEAST_FRAMES = 3
 _LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two cones cross in many places
 _VOXEL_M = 0.03
-# An empty clip is held against so many pictures, from so many seconds in which people step aside.
-_FIT_PICTURES, _FIT_S = 8, 8.0
-_SHIFT_WORTH_A_WORD_PX = 1.0
-_REMEDY = "record an empty scene as background/CAMERA.mp4"
 
 
 def learn_backgrounds(
@@ -54,12 +47,11 @@ def learn_backgrounds(
     sources = {camera.name: _source(camera, session, config) for camera in session.rig}
     clips = [camera for camera in session.rig if sources[camera.name] == "clip"]
     fits = dict(
-        zip((c.name for c in clips), each(lambda camera: _of_clip(camera, session), clips), strict=True)
+        zip((c.name for c in clips), each(lambda camera: fit_of_clip(camera, session), clips), strict=True)
     )
-    for name, fit in fits.items():
-        if fit.is_elsewhere and config.background == "auto":
-            sources[name] = _without_clip(session)
-        warnings += _fit_warnings(name, fit, session, is_used=sources[name] == "clip")
+    replaced = unlike_recording(fits) if config.background == "auto" else []
+    sources |= dict.fromkeys(replaced, _without_clip(session))
+    warnings += words_of_fits(fits, session, replaced=replaced)
     from_recording = [name for name, source in sources.items() if source == "recording"]
     found = _of_recording(session, from_recording, warnings, each) if from_recording else {}
     found |= {name: fit.background for name, fit in fits.items() if sources[name] == "clip"}
@@ -68,16 +60,17 @@ def learn_backgrounds(
     found |= {camera.name: background for camera, background in zip(others, learnt, strict=True)}
     backgrounds = [found[name] for name in session.rig.names]
     for name, background in zip(session.rig.names, backgrounds, strict=True):
-        warnings += [f"camera {name}: {w}" for w in background.warnings]
+        if name not in fits or not fits[name].gone.any():  # what moves there has been named
+            warnings += [f"camera {name}: {w}" for w in background.warnings]
     if from_recording:
         warnings.append(
             f"the background of {', '.join(from_recording)} was learnt from the recording itself: what stands still "
-            f"and is seen by few cameras may be missing. Remedy: {_REMEDY}"
+            f"and is seen by few cameras may be missing. Remedy: {REMEDY}"
         )
     if median := [name for name, source in sources.items() if source == "median"]:
         warnings.append(
             f"the background of {', '.join(median)} was learnt as the temporal median of {len(session.frames)} frames; "
-            f"a person who stays in place, or a short clip, is lost this way. Remedy: {_REMEDY}"
+            f"a person who stays in place, or a short clip, is lost this way. Remedy: {REMEDY}"
         )
     return backgrounds
 
@@ -93,48 +86,6 @@ def _source(camera: Camera, session: Session, config: SegmentationConfig) -> str
 
 def _without_clip(session: Session) -> str:
     return "recording" if len(session.rig) >= _LEAST_CAMERAS else "median"
-
-
-def _of_clip(camera: Camera, session: Session) -> Fit:
-    """The background of a camera's empty clip, fitted to the first seconds of the recording where that can be read."""
-    if camera.name not in session.background_sources:
-        raise MocapError(
-            "there is no clip of the empty scene",
-            camera=camera.name,
-            path=session.root / "background",
-            remedy="record one, or set segmentation.background to recording, median or first",
-        )
-    background = learn_background(iter_camera(session.background_sources[camera.name], camera))
-    n = min(len(session.frames), round(_FIT_S * session.fps))
-    pictures: list[Image] = []
-    if camera.name in session.image_sources and n >= _FIT_PICTURES:
-        pictures = list(islice(clip_of(session, camera), 0, n, n // _FIT_PICTURES))
-    return fit_background(background, pictures) if pictures else unfitted(background)
-
-
-def _fit_warnings(name: str, fit: Fit, session: Session, *, is_used: bool) -> list[str]:
-    """What is said of an empty clip that is not of this recording."""
-    clip = session.background_sources[name]
-    clip = clip.relative_to(session.root) if clip.is_relative_to(session.root) else clip
-    said = []
-    if fit.is_elsewhere:
-        instead = "" if is_used else "; its background is learnt from the recording instead"
-        said.append(
-            f"camera {name}: {clip} shows another place than its recording, or the same through another lens{instead}. "
-            f"Remedy: {_REMEDY} with this camera as it stands, or take the file away"
-        )
-    if max(map(abs, fit.shift_px)) >= _SHIFT_WORTH_A_WORD_PX:
-        right, down = fit.shift_px
-        said.append(
-            f"camera {name}: {clip} was shifted by ({right:.1f}, {down:.1f}) px, which is where the recording has the "
-            "room. Remedy: if the camera was pushed after it was calibrated, calibrate it again"
-        )
-    if fit.gone.any():
-        said.append(
-            f"camera {name}: in {fit.gone.mean():.1%} of {clip} stands what is not in the recording, somebody or a "
-            f"thing; there the background is that of the recording. Remedy: {_REMEDY}, with nobody in it"
-        )
-    return said
 
 
 def _of_one_camera(camera: Camera, session: Session, config: SegmentationConfig, source: str) -> Background:
@@ -159,7 +110,7 @@ def _of_recording(
     if not any(region.any() for region in regions):
         warnings.append(
             "nobody moves in this recording where enough cameras see him; whoever is in it is learnt as background. "
-            f"Remedy: {_REMEDY}"
+            f"Remedy: {REMEDY}"
         )
     cuts: list[list[Mask]] = list(each(first_cuts, keys, regions))
     for k in range(len(cuts[0])):

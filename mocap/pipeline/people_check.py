@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from mocap.arrays import Array
 from mocap.errors import MocapError
+from mocap.foreground import Fit
 from mocap.io.session import Session
 from mocap.io.session.record import Finding
+from mocap.pipeline.empty_clips import fits_of, words_of_fits
 from mocap.pipeline.silhouettes import hulls_of
 from mocap.volume.rig_doubts import RigDoubt, doubt_rig
 
@@ -15,6 +19,10 @@ from mocap.volume.rig_doubts import RigDoubt, doubt_rig
 _N_FRAMES, _WITHIN = 40, 600
 # Of the tallest person in the room, children included.
 _HEIGHTS_M = (0.8, 2.3)
+_UNTOLD = (
+    "whether people agree with the calibration cannot be told: who stands in clips of the empty scene leaves holes in "
+    "their outlines"
+)
 _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 
 
@@ -23,19 +31,25 @@ def check_people(session: Session) -> list[Finding]:
     if not session.image_sources and not session.mask_sources:
         return []
     try:
-        hulls = hulls_to_check(session)
+        fits = {} if session.mask_sources else fits_of(session)
+        hulls = hulls_to_check(session, fits)
     except MocapError as error:
         return [Finding("warning", f"people could not be looked at: {error.message}")]
+    said = [Finding("warning", words) for words in words_of_fits(fits, session)]
     found = doubt_rig(session.rig, hulls)
     if np.isnan(found.apart_m):
-        return []
-    return [_agreement(found), *_size(found)] if found.agrees else [_explanation(found)]
+        return said
+    if found.agrees:
+        return [*said, _agreement(found), *_size(found)]
+    if not found.mistake and any(fit.gone.any() for fit in fits.values()):
+        return [*said, Finding("warning", _UNTOLD)]
+    return [*said, _explanation(found)]
 
 
-def hulls_to_check(session: Session) -> list[list[Array]]:
-    """Hulls of the silhouettes that are looked at, per camera and frame."""
+def hulls_to_check(session: Session, fits: Mapping[str, Fit]) -> list[list[Array]]:
+    """Hulls of the silhouettes that are looked at, per camera and frame.  fits : as of `hulls_of`."""
     frames = session.stretches[0][:_WITHIN]
-    return hulls_of(session, frames[:: max(1, len(frames) // _N_FRAMES)])
+    return hulls_of(session, frames[:: max(1, len(frames) // _N_FRAMES)], fits)
 
 
 def _agreement(found: RigDoubt) -> Finding:

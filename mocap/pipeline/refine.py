@@ -16,6 +16,7 @@ from mocap.io.calibration import write_calibration
 from mocap.io.calibration.anipose import toml_value
 from mocap.io.session import Session, open_session, read_session_settings
 from mocap.io.session.settings import with_tables
+from mocap.pipeline.empty_clips import fits_of
 from mocap.pipeline.silhouettes import hulls_of
 from mocap.progress import Progress, no_progress
 from mocap.volume import choose_grid
@@ -161,7 +162,8 @@ def look_at(
     frames = session.stretches[0]  # what is seen later is of cameras that stand elsewhere
     stride = max(1, len(frames) // n_frames)
     n_threads = n_threads or min(2, os.cpu_count() or 1)
-    return hulls_of(session, frames[::stride], n_threads=n_threads, progress=progress), stride
+    fits = {} if session.mask_sources else fits_of(session, n_threads)
+    return hulls_of(session, frames[::stride], fits, n_threads=n_threads, progress=progress), stride
 
 
 def refine_from(

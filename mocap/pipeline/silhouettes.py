@@ -5,32 +5,24 @@ They come from each camera's own pictures alone: neither calibration nor other c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from mocap.arrays import Array, Image, Mask
 from mocap.data import Camera
-from mocap.foreground import Segmenter, learn_background, median_background
+from mocap.foreground import Background, Fit, Segmenter, median_background
 from mocap.io.session import Session
 from mocap.io.session.reading import masks_of, pictures_of
-from mocap.io.video import iter_clip
 from mocap.progress import Progress, no_progress
 from mocap.threads import in_parallel
 from mocap.volume.synchrony import silhouette_hull
 
 
-def foreground(
-    camera: Camera, pictures: Callable[[], Iterable[Image]], background: Path | None
-) -> Iterator[Mask]:
+def foreground(pictures: Callable[[], Iterable[Image]], background: Background | None) -> Iterator[Mask]:
     """The foreground (H, W) of one camera's pictures.
 
-    pictures : begins them anew at every call.  background : clip of the empty scene; None = their median.
+    pictures : begins them anew at every call.  background : of the empty scene; None = their median.
     """
-    if background is not None:
-        empty = learn_background(iter_clip(background, size=camera.size, camera=camera.name))
-    else:
-        empty = median_background(pictures())
-    segmenter = Segmenter(empty)
+    segmenter = Segmenter(median_background(pictures()) if background is None else background)
     for picture in pictures():
         yield segmenter.segment(picture).mask
 
@@ -38,22 +30,26 @@ def foreground(
 def hulls_of(
     session: Session,
     frames: range,
+    fits: Mapping[str, Fit],
     *,
     n_threads: int = 1,
     progress: Progress = no_progress,
 ) -> list[list[Array]]:
-    """Corners (P, 2) px of the convex hull of the silhouettes, per camera of the session and frame."""
+    """Corners (P, 2) px of the convex hull of the silhouettes, per camera of the session and frame.
+
+    fits : of the cameras that have a clip of the empty scene, as `fits_of` gives them.
+    """
     done = iter(range(len(session.rig)))
 
     def of_camera(camera: Camera) -> list[Array]:
-        hulls = [silhouette_hull(mask) for mask in _masks(session, camera, frames)]
+        hulls = [silhouette_hull(mask) for mask in _masks(session, camera, frames, fits)]
         progress("silhouettes", next(done) + 1, len(session.rig))
         return hulls
 
     return in_parallel(of_camera, session.rig.cameras, n_threads)
 
 
-def _masks(session: Session, camera: Camera, frames: range) -> Iterator[Mask]:
+def _masks(session: Session, camera: Camera, frames: range, fits: Mapping[str, Fit]) -> Iterator[Mask]:
     """Of one camera in some frames of the session."""
     if session.mask_sources:
         with masks_of(session, frames, cameras=(camera.name,)) as reader:
@@ -64,4 +60,5 @@ def _masks(session: Session, camera: Camera, frames: range) -> Iterator[Mask]:
         with pictures_of(session, frames, cameras=(camera.name,)) as reader:
             yield from (images[0] for _, images in reader)
 
-    yield from foreground(camera, pictures, session.background_sources.get(camera.name))
+    fit = fits.get(camera.name)
+    yield from foreground(pictures, None if fit is None or fit.is_elsewhere else fit.background)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
@@ -21,6 +22,7 @@ from mocap.io.session.timeline import TIMESTAMPS_FILE, differing_rates, own_time
 from mocap.io.sound import loudness_of
 from mocap.io.tables import write_timestamps_csv
 from mocap.io.video import MaskReader, iter_clip, times_in_container
+from mocap.pipeline.empty_clips import fitted, frames_to_fit
 from mocap.pipeline.silhouettes import foreground
 from mocap.progress import Progress, no_progress
 from mocap.threads import in_parallel
@@ -276,4 +278,9 @@ def _masks(clips: OpenedClips, name: str) -> Iterator[Mask]:
     def pictures() -> Iterator[Image]:
         yield from iter_clip(clips.images[name], size=camera.size, camera=name)
 
-    yield from foreground(camera, pictures, clips.background.get(name))
+    if (clip := clips.background.get(name)) is None:
+        yield from foreground(pictures, None)
+        return
+    wanted = frames_to_fit(clips.clips[name].n_frames, clips.fps)
+    fit = fitted(clip, camera, list(islice(pictures(), wanted.start, wanted.stop, wanted.step)))
+    yield from foreground(pictures, None if fit.is_elsewhere else fit.background)
