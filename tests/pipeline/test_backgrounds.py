@@ -122,7 +122,7 @@ def test_empty_clips_of_another_day_are_named_and_harm_nobody(root: Path, tmp_pa
 
 
 def test_whoever_stands_in_all_empty_clips_is_no_background(root: Path, tmp_path: Path) -> None:
-    """The actor waits where he is recorded a second later: the recording tells the empty scene better than the clips."""
+    """The actor waits where he is recorded later: the recording tells the empty scene better than the clips."""
     session = tmp_path / "session"
     shutil.copytree(root, session)
     for camera, source in open_session(root).image_sources.items():
