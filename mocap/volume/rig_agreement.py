@@ -373,6 +373,8 @@ def _touch(
 ) -> _Touch:
     """Lines of sight against the hull of some other cameras, of which so many may be wrong anywhere."""
     judged = sight.clearance[:, :, list(others)]
+    if len(others) < max(settings.min_judges, n_tolerated + 1):
+        return _Touch(np.full(len(judged), -np.inf), sight.depth[:, 0])
     clearance = np.partition(judged, n_tolerated, axis=2)[:, :, n_tolerated]
     clearance[np.count_nonzero(np.isfinite(judged), axis=2) < settings.min_judges] = -np.inf
     best = clearance.argmax(axis=1)

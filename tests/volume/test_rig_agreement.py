@@ -183,6 +183,12 @@ def test_a_misfit_is_a_fault_in_words() -> None:
     assert [f.camera for f in find_misfits(rig, samples(), guessed=("cam_4",))] == ["cam_2"]
 
 
+@pytest.mark.parametrize("n_asked", [0, 1, 2])
+def test_where_the_outlines_of_most_cameras_are_guesses_nothing_is_said(n_asked: int) -> None:
+    rig = rig_with({0: ((0.0, 1.0, 0.0), STILL)})
+    assert find_misfits(rig, samples(), guessed=RIG.names[n_asked:]) == ()
+
+
 def test_the_monitor_keeps_few_whole_masks_and_where_the_people_are() -> None:
     monitor = ConsistencyMonitor(RIG, VoxelGrid(np.array([-1.6, -1.6, 0.0]), (64, 64, 40), 0.05))
     masks = samples()[0].masks
