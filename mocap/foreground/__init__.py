@@ -11,6 +11,7 @@ from mocap.foreground.recording import (
     off_rim,
     reduction_of,
     with_floor,
+    without_things,
 )
 from mocap.foreground.refine import refine_mask
 from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segmenter, clean_mask
@@ -37,4 +38,5 @@ __all__ = [
     "triples_of",
     "unfitted",
     "with_floor",
+    "without_things",
 ]

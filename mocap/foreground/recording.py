@@ -26,6 +26,10 @@ WORKING_WIDTH_PX = 640  # larger pictures are cut reduced; their background is l
 # more than 1.3 to 3, nine tenths of the room less than 1.7, shadows up to 7.
 _UNREST = 2.0
 _QUIET = 1.6
+# What is in all cuts of a camera: of a quarter of its pixels the colour spreads by so many times the noise. Persons who
+# stay in their places have 3.1 and more (dev:reach, stand, in_place, gesture), furniture round which somebody walks 1.4
+# to 2.6, two small pieces 3 (dev:furnished, dev:room).
+_LEAST_SWAY = 2.6
 _FAR = 20  # levels from the usual colour that count as "something else was here"
 _DIFFERS = 15  # levels from what is painted in that make a pixel likely to show a person in the first cut
 _MOST_HOLE_PX = 6000  # of 640 x 480: a hole in what moves that may still be inside a person
@@ -41,12 +45,14 @@ class KeyPictures:
     pictures : (K, h, w, 3) uint8, evenly spread, changes of the light as a whole divided out.
     usual : (h, w, 3) uint8, the most persistent colour.  is_quiet : (h, w) bool, where that is what stands still.
     is_active : (h, w) bool, where something that moves was at some time: persons and their shadows.
+    sway : (h, w), spread of the most persistent colour relative to the noise.
     """
 
     pictures: NDArray[np.uint8]
     usual: Image
     is_quiet: Mask
     is_active: Mask
+    sway: NDArray[np.float32]
 
 
 def reduction_of(width: int) -> int:
@@ -67,19 +73,21 @@ def key_pictures(images: Iterable[Image]) -> KeyPictures:
     within = spread.max(axis=2)
     noise = max(float(np.median(within)), 0.2)
     total = soft.std(axis=0, dtype=np.float32).max(axis=2)
+    sway = cv2.blur(within / noise, (5, 5))
     unrest = cv2.blur(total / noise, (5, 5)) > _UNREST
     active = cv2.morphologyEx(unrest.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
     active = cv2.morphologyEx(active, cv2.MORPH_CLOSE, _disc(5))
     is_active = _without_holes(active > 0, _MOST_HOLE_PX * active.size / (640 * 480))
     near = np.mean([(np.abs(image - usual) < _FAR).all(axis=2) for image in soft], axis=0)
     # Somebody who stands can be quiet inside his outline; there nothing else was ever seen.
-    quiet = (cv2.blur(within / noise, (5, 5)) < _QUIET) & (near >= 0.5) & (~is_active | moved.any(axis=2))
+    quiet = (sway < _QUIET) & (near >= 0.5) & (~is_active | moved.any(axis=2))
     quiet = cv2.morphologyEx(quiet.astype(np.uint8), cv2.MORPH_OPEN, _disc(3)) > 0
     return KeyPictures(
         stack[keys_of(len(stack))],
         np.clip(np.round(usual), 0, 255).astype(np.uint8),
         quiet,
         is_active,
+        sway,
     )
 
 
@@ -157,6 +165,18 @@ def with_floor(
     std[hidden] = np.maximum(std[hidden], _FLOOR_STD * limit[hidden, None])
     told = float((covered & hidden).mean())
     return replace(background, mean=mean, std=std, covered=covered & ~hidden, told_share=told)
+
+
+def without_things(cuts: Sequence[Mask], sway: NDArray[np.float32]) -> list[Mask]:
+    """The cuts (h, w) of one camera without what is in all of them and stands still: a table that somebody walks round.
+
+    sway : (h, w), as of `KeyPictures`.
+    """
+    always = np.logical_and.reduce(list(cuts)).astype(np.uint8)
+    n, labels = cv2.connectedComponents(always, connectivity=8)
+    is_thing = [False] + [float(np.quantile(sway[labels == i], 0.75)) < _LEAST_SWAY for i in range(1, n)]
+    things = np.array(is_thing)[labels]
+    return [cut & ~things for cut in cuts]
 
 
 def off_rim(cut: Mask) -> Mask:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import Any
 
+import numpy as np
+
 from mocap.arrays import Mask
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
@@ -21,6 +23,7 @@ from mocap.foreground import (
     reduction_of,
     refine_mask,
     with_floor,
+    without_things,
 )
 from mocap.io.session import Session
 from mocap.io.session.reading import clip_of
@@ -118,23 +121,25 @@ def _of_recording(
         pictures = [key.pictures[k] for key in keys]
         for cut, again in zip(cuts, each(refine_mask, pictures, *zip(*guesses, strict=True)), strict=True):
             cut[k] = again
-    floor = _floor_of(cuts, keys, small, witness)
+    cuts = [without_things(cut, key.sway) for cut, key in zip(cuts, keys, strict=True)]
+    free = _free_of_people(cuts, witness)
+    floor = Floor(small, witness.grid, [key.pictures for key in keys], free)
     wanted = [(c, camera) for c, camera in enumerate(rig) if camera.name in names]
     learnt = each(lambda pair: background_of_recording(clip_of(session, pair[1]), cuts[pair[0]]), wanted)
+    # What a camera shows while nobody is there stands there, as furniture does on the floor that others see behind it.
     return {
-        camera.name: with_floor(background, *floor.behind(c), regions[c])
+        camera.name: with_floor(background, *floor.behind(c), regions[c] & ~np.any(free[c], axis=0))
         for (c, camera), background in zip(wanted, learnt, strict=True)
     }
 
 
-def _floor_of(cuts: list[list[Mask]], keys: list[KeyPictures], rig: CameraRig, witness: Witness) -> Floor:
-    """What all cameras together know of the floor; nobody's feet are taken for it, which cuts may lack."""
+def _free_of_people(cuts: list[list[Mask]], witness: Witness) -> list[list[Mask]]:
+    """Where each camera's pictures show nobody, nor what nobody's feet stand on, which cuts may lack."""
     under = zip(*(witness.columns(instant) for instant in zip(*cuts, strict=True)), strict=True)
-    free = [
+    return [
         [off_rim(cut | column) for cut, column in zip(own, columns, strict=True)]
         for own, columns in zip(cuts, under, strict=True)
     ]
-    return Floor(rig, witness.grid, [key.pictures for key in keys], free)
 
 
 def _check_frames(camera: Camera, session: Session) -> None:

@@ -13,6 +13,7 @@ from mocap.foreground import (
     key_pictures,
     median_background,
     with_floor,
+    without_things,
 )
 from mocap.foreground.recording import keys_of
 
@@ -123,3 +124,16 @@ def test_shoes_that_every_cut_lacks_are_seen_before_the_floor_that_others_tell()
     np.testing.assert_array_equal(floor.covered[:50], background.covered[:50])
     np.testing.assert_array_equal(floor.mean[:50], background.mean[:50])
     np.testing.assert_array_equal(floor.mean[~region], background.mean[~region])
+
+
+def test_what_is_in_all_cuts_and_stands_still_is_a_thing() -> None:
+    person, table, passing = np.zeros((3, H, W), dtype=np.bool_)
+    person[20:80, 20:40] = True
+    table[60:80, 70:110] = True
+    passing[60:90, 100:120] = True
+    sway = np.full((H, W), 1.1, dtype=np.float32)
+    sway[20:80, 20:30] = 5.0  # a quarter of whoever stands and looks about is enough
+    sway[62:64, 70:110] = 5.0  # a shadow falls on the edge of the table
+    cuts = without_things([person | table, person | table | passing], sway)
+    np.testing.assert_array_equal(cuts[0], person)
+    np.testing.assert_array_equal(cuts[1], person | (passing & ~table))

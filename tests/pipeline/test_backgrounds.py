@@ -139,3 +139,35 @@ def test_whoever_stands_in_all_empty_clips_is_no_background(root: Path, tmp_path
     found = check_people(opened)
     assert "stands what is not in the recording" in found[0].message
     assert not any("its calibration, its clock" in f.message for f in found)
+
+
+def test_furniture_on_the_floor_that_others_see_behind_it_is_background(root: Path, tmp_path: Path) -> None:
+    """A box on the way of the walker, who passes before it; the other cameras see the floor where it hides it."""
+    session = tmp_path / "session"
+    shutil.copytree(root, session)
+    camera = CAMERAS[0]
+    opened = open_session(root)
+    packed = np.load(root / "truth" / "masks" / f"{camera}.npz")["masks"]
+    walker = np.unpackbits(packed, axis=2, count=SIZE[0]) > 0
+    ever = walker.any(axis=0)
+    rows, columns = np.nonzero(ever)
+    box = np.zeros_like(ever)
+    box[int(np.quantile(rows, 0.8)) : rows.max(), int(np.median(columns)) : columns.max()] = True
+    clip = opened.image_sources[camera]
+    pictures = list(iter_clip(clip))
+    (session / clip.relative_to(root)).unlink() if clip.is_file() else shutil.rmtree(
+        session / clip.relative_to(root)
+    )
+    folder = session / "images" / camera
+    folder.mkdir(parents=True)
+    for i, (picture, own) in enumerate(zip(pictures, walker, strict=True)):
+        picture[box & ~own] = (60, 90, 60)
+        assert cv2.imwrite(str(folder / f"{i:04d}.png"), np.ascontiguousarray(picture[:, :, ::-1]))
+    opened = open_session(session)
+    backgrounds = learn_backgrounds(opened, CONFIG, [])
+    segmenter = Segmenter(backgrounds[0])
+    taken = [
+        segmenter.segment(picture).mask & box & ~own for picture, own in zip(pictures, walker, strict=True)
+    ]
+    assert np.mean(taken) < 0.1 * box.mean()
+    assert iou(opened, backgrounds) > MIN_IOU
