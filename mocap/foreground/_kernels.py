@@ -105,7 +105,9 @@ def free_statistics(samples, cover, far, mean, std, n_free):
     """Mean and spread per pixel of what key pictures show where no person covers them; see recording.py.
 
     samples : (n, m, 3) uint8, n <= 255.  cover : (n, m) uint8, 0, CLEAR, RIM or PERSON.  mean, std : (m, 3) float32
-    out, of all samples within `far` of the middle of the CLEAR ones (of the RIM ones where none is CLEAR).
+    out, of all samples near the middle of the CLEAR ones (of the RIM ones where none is CLEAR): within 2.5 times their
+    spread and 3 levels as in `robust_statistics`, because cloth and shadow may be less than `far` off; within `far`
+    where fewer than five tell the spread.
     n_free : (m,) uint8 out, how many gave that middle; 0 leaves mean and std 0.
     """
     n, m = cover.shape
@@ -125,14 +127,19 @@ def free_statistics(samples, cover, far, mean, std, n_free):
         n_free[i] = np.uint8(count)
         if count == 0:
             continue
+        reach = np.float32(3.0)
         for c in range(3):
             middle[c] = np.sort(values[c, :count])[count // 2]
+            spread = np.sort(np.abs(values[c, :count] - middle[c]))[count // 2]
+            reach = max(reach, np.float32(2.5 * 1.4826) * np.float32(spread) + np.float32(3.0))
+        if count < 5 or reach > far:
+            reach = np.float32(far)
         n_near = np.float32(0.0)
         for k in range(n):
             off = 0
             for c in range(3):
                 off = max(off, abs(np.int32(samples[k, i, c]) - middle[c]))
-            if off <= far:
+            if off <= reach:
                 n_near += np.float32(1.0)
                 for c in range(3):
                     d = np.float32(np.int32(samples[k, i, c]) - middle[c])
