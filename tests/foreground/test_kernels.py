@@ -276,11 +276,14 @@ def test_bounds_of() -> None:
 
 def test_statistics_of_what_no_person_covers() -> None:
     rng = np.random.default_rng(9)
-    n, m, far_px = 9, 57, 20
+    n, m, far_px = 17, 157, 20
     samples = rng.integers(60, 90, (n, m, 3), dtype=np.uint8)
+    samples[:, : m // 2] = rng.integers(70, 75, (n, m // 2, 3))  # quiet, where the spread tells what is near
     samples[4:6] += 90  # somebody
+    samples[6:9] += 12  # his shadow
     cover = np.zeros((n, m), np.uint8)
-    cover[::2] = rng.integers(1, 4, (5, m))
+    cover[::2] = rng.integers(1, 4, (9, m))
+    n_told = 0
     mean, std = np.empty((m, 3), np.float32), np.empty((m, 3), np.float32)
     n_free = np.empty(m, np.uint8)
     kernels.free_statistics(samples, cover, far_px, mean, std, n_free)
@@ -294,10 +297,15 @@ def test_statistics_of_what_no_person_covers() -> None:
             continue
         own = samples[:, i].astype(float)
         middle = np.sort(own[chosen], axis=0)[np.count_nonzero(chosen) // 2]
-        near = own[np.abs(own - middle).max(axis=1) <= far_px]
+        spread = np.sort(np.abs(own[chosen] - middle), axis=0)[np.count_nonzero(chosen) // 2].max()
+        reach = 2.5 * 1.4826 * spread + 3.0
+        is_told = np.count_nonzero(chosen) >= 5 and reach <= far_px
+        n_told += is_told
+        near = own[np.abs(own - middle).max(axis=1) <= (reach if is_told else far_px)]
         if len(near):
             np.testing.assert_allclose(mean[i], near.mean(axis=0), atol=1e-3)
             np.testing.assert_allclose(std[i], near.std(axis=0), atol=1e-3)
+    assert 5 < n_told < m - 5
 
 
 def test_gains_of_cells() -> None:
