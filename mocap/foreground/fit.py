@@ -21,17 +21,17 @@ LEAST_PICTURES = 3  # fewer do not tell what stands still from who walks past
 _FAR = 20  # levels, after the light is divided out: something else is seen
 _LEAST_SHIFT_PX, _MOST_SHIFT_PX = 0.4, 12.0  # of 640; below it the tolerance at edges is enough
 _BETTER = 0.8  # times the difference that a shift must leave at most
-# Of another place: correlation of the fine structure, and share of the picture that differs in every picture. Clips
-# that belong to their recording have 0.73 to 0.99 (the realistic sessions, gesture, a real one) and 0 to 0.09, with
-# somebody in them 0.64 to 0.78; those of another camera have 0.02 at most, of a zoom by 8 % 0.34 to 0.58, and 0.01 to
-# 0.3. A zoom by 5 % has 0.56 to 0.69.
+# Of another place: correlation of the fine structure, and share of the picture that differs in every picture. Clips of
+# their recording have 0.73 to 0.99, with somebody in them 0.59 to 0.99, those of another camera 0.07 at most, through a
+# lens of 3 % more focal length 0.24 to 0.65, of 5 % 0.47 at most (python -m eval.empty_clips).
 _LEAST_LIKENESS, _LEAST_DIFFERING = 0.6, 0.005
 _LEAST_TEXTURE = 1.5  # levels; rooms have 3 to 7. Bare walls are alike everywhere
 _STRONGER = (
     1.5  # edges round what stands in one of two pictures, over those of the other picture at the same place
 )
 _LEAST_THING_PX = 150.0  # of 640 x 480
-# What is not in the recording differs in so many of the pictures: in the others somebody may stand just there.
+# What is not in the recording differs in so many of the pictures: in the others somebody may stand just there. The same
+# command counts what is found of somebody in the clip.
 _MOSTLY = 0.6
 _RIM_PX = 5
 
@@ -43,13 +43,16 @@ class Fit:
     background : shifted, and without what has gone.
     shift_px : (right, down) by which the clip was moved.  gone : (H, W) bool, where something stood in the clip that is
     not in the recording.  is_elsewhere : the clip shows another place, or the same through another lens; background is
-    then as it was.
+    then as it was.  likeness : correlation of its fine structure with that of the recording.  differing_share : of its
+    pixels, that differ from every picture.
     """
 
     background: Background
     shift_px: tuple[float, float]
     gone: Mask
     is_elsewhere: bool
+    likeness: float = 1.0
+    differing_share: float = 0.0
 
 
 def unfitted(background: Background) -> Fit:
@@ -81,8 +84,9 @@ def fit_background(background: Background, pictures: Sequence[Image]) -> Fit:
     n_differing = np.zeros(stack.shape[1:3], dtype=np.int64)
     for picture in stack:
         n_differing += cv2.inRange(cv2.absdiff(picture, moved.mean), (0, 0, 0), (_FAR, _FAR, _FAR)) == 0
-    if _is_unlike(moved.mean, usual) and (n_differing == len(stack)).mean() > _LEAST_DIFFERING:
-        return replace(unfitted(background), is_elsewhere=True)
+    alike, differing = likeness(moved.mean, usual), float((n_differing == len(stack)).mean())
+    if alike < _LEAST_LIKENESS and differing > _LEAST_DIFFERING:
+        return replace(unfitted(background), is_elsewhere=True, likeness=alike, differing_share=differing)
     gone = _gone(n_differing >= _MOSTLY * len(stack), moved.mean, usual)
     if gone.any():
         mean, std = moved.mean.copy(), moved.std.copy()
@@ -91,7 +95,7 @@ def fit_background(background: Background, pictures: Sequence[Image]) -> Fit:
         spread = 1.4826 * np.median(np.abs(stack[:, gone] - usual[gone]), axis=0)
         std[gone] = np.maximum(np.median(moved.std), spread)
         moved = replace(moved, mean=mean, std=std)
-    return Fit(moved, shift, gone, is_elsewhere=False)
+    return Fit(moved, shift, gone, is_elsewhere=False, likeness=alike, differing_share=differing)
 
 
 def _in_light_of(mean: NDArray[np.float32], picture: Image) -> NDArray[np.float32]:
@@ -112,13 +116,13 @@ def _grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.clip(grey - cv2.GaussianBlur(grey, (0, 0), 8.0), -_FAR, _FAR)
 
 
-def _is_unlike(mean: NDArray[np.float32], usual: NDArray[np.float32]) -> bool:
-    """Whether the fine structures of two pictures do not correlate, as far as there are any."""
+def likeness(mean: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
+    """Correlation of the fine structures of two pictures (H, W, 3); 1 where one of them has hardly any."""
     a, b = (cv2.GaussianBlur(_grey(picture), (0, 0), 1.0) for picture in (mean, usual))
     texture = min(float(np.sqrt(np.mean(image * image))) for image in (a, b))
-    return texture > _LEAST_TEXTURE and float((a * b).sum()) < _LEAST_LIKENESS * float(
-        np.sqrt((a * a).sum() * (b * b).sum())
-    )
+    if texture <= _LEAST_TEXTURE:
+        return 1.0
+    return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
 
 
 def _shift(mean: NDArray[np.float32], usual: NDArray[np.float32]) -> tuple[float, float]:

@@ -63,6 +63,7 @@ def test_a_clip_or_still_that_is_pushed_and_darker_is_put_right(n_pictures: int)
     pushed = learn_background(seen(room(), rng, push=SHIFT_PX, gain=0.7) for _ in range(n_pictures))
     fit = fit_background(pushed, pictures)
     assert not fit.is_elsewhere
+    assert fit.likeness > 0.7
     assert fit.shift_px == pytest.approx((-SHIFT_PX[0], -SHIFT_PX[1]), abs=OFF_PX)
     assert not fit.gone.any()
     right = learn_background(seen(room(), rng) for _ in range(n_pictures))
@@ -87,6 +88,8 @@ def test_another_place_and_another_lens_are_told(what: str) -> None:
     background = learn_background(seen(other, rng) for _ in range(20))
     fit = fit_background(background, pictures)
     assert fit.is_elsewhere
+    assert abs(fit.likeness) < 0.3
+    assert fit.differing_share > 0.1
     assert fit.background is background
 
 
