@@ -62,7 +62,7 @@ class Seen:
     index : place in the clip.  pictures : (H, W, 3) uint8 RGB of every camera, empty of one that gives none now.
     masks : (H, W) bool of every camera.  depth : (H, W) float32 m of every camera with depth maps, 0 = no reading.
     tracks : those of the tracker in this frame, as they are called until now.  owner : (N,) serial + 1 of the track
-    that holds each voxel of the hull, 0 = nobody.  begun : what the first half of a stage's work hands to its step.
+    that holds each voxel of the hull, 0 = nobody.
     """
 
     index: int
@@ -73,7 +73,6 @@ class Seen:
     hull: Hull | None = None
     tracks: Sequence[Any] | None = None
     owner: NDArray[np.uint32] | None = None
-    begun: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +108,6 @@ class FrameWork:
     step : gives the frame with what was found in it, for the stages that walk along, and the rows that are certain by
     now, of this frame or earlier.
     finds : fields of `Seen` that a step fills in; a stage that walks along reads them from no file.
-    begin : the first half of the work on a frame, if it has two: done while `step` is at work on the frame before, so
-    that neither may see what the other changes of the state. It gives the frame with `begun`.
     """
 
     reads: Callable[[Job], Sources]
@@ -118,7 +115,6 @@ class FrameWork:
     step: Callable[[Any, Seen], tuple[Any, Seen, Sequence[Row]]]
     finish: Callable[[Any], Ending]
     finds: tuple[str, ...] = ()
-    begin: Callable[[Any, Seen], Seen] | None = None
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +20,6 @@ from mocap.threads import Ahead
 
 # Frames that a stage may be ahead of the next one; pictures and volumes of no more are held.
 _AHEAD_FRAMES = 2
-_BEGUN_FRAMES = 1  # that the first half of a stage's work may be ahead of the second
 
 
 def walks(stages: Sequence[Stage]) -> Iterator[tuple[Stage, ...]]:
@@ -65,37 +64,27 @@ def run_together(stages: Sequence[tuple[Stage, Job]]) -> dict[str, float]:
 
 
 class Walker:
-    """A stage that works frame by frame, with its state."""
+    """A stage that works frame by frame, with its state.  busy_s : how long it has worked."""
 
     def __init__(self, stage: Stage, job: Job) -> None:
         assert isinstance(stage.work, FrameWork)
         self.stage, self.work, self.job = stage, stage.work, job
-        self._busy_s = {"start": 0.0, "read": 0.0, "begin": 0.0, "step": 0.0}  # each written by one thread
+        self.busy_s = 0.0
         self.start()
-
-    @property
-    def busy_s(self) -> float:
-        """How long it has worked."""
-        return sum(self._busy_s.values())
 
     def start(self, state: Any = None) -> None:
         """Begin a walk, with a state or anew."""
         started = time.perf_counter()
         self.state = self.work.start(self.job) if state is None else state
-        self._busy_s["start"] += time.perf_counter() - started
-
-    def begin(self, seen: Seen) -> Seen:
-        """The first half of the work on a frame, where there is one."""
-        if self.work.begin is None:
-            return seen
-        with self._at_work("begin"):
-            return self.work.begin(self.state, seen)
+        self.busy_s += time.perf_counter() - started
 
     def step(self, seen: Seen) -> tuple[Seen, Sequence[Row]]:
-        """One frame that was begun: with what was found in it, and the rows that are certain by now."""
-        with self._at_work("step"):
+        """One frame: with what was found in it, and the rows that are certain by now."""
+        started = time.perf_counter()
+        with part(self.stage.name):
             self.state, seen, rows = self.work.step(self.state, seen)
-        return replace(seen, begun=None), rows
+        self.busy_s += time.perf_counter() - started
+        return seen, rows
 
     def steps(self, frames: Iterable[Seen], recorder: Recorder) -> Iterator[Seen]:
         """The frames in order, with what was found in them."""
@@ -106,17 +95,6 @@ class Walker:
             if seen.index + 1 < n:  # the last one is done when the products are
                 self.job.progress(self.stage.name, seen.index + 1, n)
             yield found
-
-    @contextmanager
-    def _at_work(self, half: str) -> Iterator[None]:
-        started = time.perf_counter()
-        with part(self.stage.name):
-            yield
-        self._busy_s[half] += time.perf_counter() - started
-
-    def has_read(self, seconds: float) -> None:
-        """The reading of what it is shown is its work too."""
-        self._busy_s["read"] += seconds
 
 
 class Recorder:
@@ -189,14 +167,9 @@ def _once(walkers: Sequence[Walker]) -> Sequence[Walker]:
 
 
 def _go(walkers: Sequence[Walker], recorders: Sequence[Recorder], streams: ExitStack) -> None:
-    """Every frame through the hands of all walkers, each, and each half of one, on a thread of its own where there are
-    several."""
+    """Every frame through the hands of all walkers, each on a thread of its own where there are several."""
     stream: Iterator[Seen] = _frames(walkers, streams)
     for walker, recorder in zip(walkers, recorders, strict=True):
-        if walker.work.begin is not None:
-            stream = map(walker.begin, stream)
-            if walker.job.n_threads > 1:
-                stream = streams.enter_context(Ahead(stream, _BEGUN_FRAMES))
         stream = walker.steps(stream, recorder)
         if walker.job.n_threads > 1 and walker is not walkers[-1]:
             stream = streams.enter_context(Ahead(stream, _AHEAD_FRAMES))
@@ -226,5 +199,5 @@ def _read(first: Walker, values: Mapping[str, Iterator[tuple[int, Any]]]) -> Ite
         started = time.perf_counter()
         with part("read"):
             seen = Seen(i, frame, **{name: next(rows)[1] for name, rows in values.items()})
-        first.has_read(time.perf_counter() - started)
+        first.busy_s += time.perf_counter() - started
         yield seen

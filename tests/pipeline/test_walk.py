@@ -223,28 +223,3 @@ def test_ahead_ends_when_nobody_takes_any_more() -> None:
     assert n <= 5
     time.sleep(0.1)
     assert len(made) == n
-
-
-@pytest.mark.parametrize("n_threads", [1, 3])
-def test_the_first_half_is_a_frame_ahead_and_hands_on_what_it_began(tmp_path: Path, n_threads: int) -> None:
-    whole = toy("a", reads=clip)
-    assert isinstance(whole.work, FrameWork)
-    last_begun = {frame: threading.Event() for frame in FRAMES}
-
-    def begin(state: tuple[int, int], seen: Seen) -> Seen:
-        assert seen.begun is None
-        last_begun[seen.frame].set()
-        return replace(seen, begun=seen.frame)
-
-    def step(state: tuple[int, int], seen: Seen) -> Any:
-        assert seen.begun == seen.frame
-        if n_threads > 1 and seen.frame + 1 in FRAMES:
-            assert last_begun[seen.frame + 1].wait(30), "the next frame waits for the end of this one"
-        return whole.work.step(state, seen)  # type: ignore[union-attr]
-
-    halved = replace(whole, work=replace(whole.work, step=step, begin=begin))
-    one, two = job(tmp_path / "1", n_threads=n_threads), job(tmp_path / "2")
-    run_together([(halved, one), (toy("b", log=lambda name, frame: None), one)])
-    run_together([(whole, two), (toy("b"), two)])
-    for name in "ab":
-        assert content(one.store, name) == content(two.store, name)

@@ -162,7 +162,7 @@ class Engine:
             images = [_NO_PICTURE if shot is None else shot.picture for shot in pictures.shots]
             seen, rows = Seen(i, frame, pictures=images), {}
             for walker in self._walkers:
-                seen, made = walker.step(walker.begin(seen))
+                seen, made = walker.step(seen)
                 rows.update({row.product: row.arrays for row in made if row.frame == frame})
             yield _Tracked(seen, rows, pictures)
 

@@ -228,8 +228,7 @@ def _start(job: Job) -> _Walk:
     return _Walk(carving, monitor, guessed=never_empty(job.store))
 
 
-def _begin(walk: _Walk, seen: Seen) -> Seen:
-    """The volume, and what is kept of it."""
+def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
     assert seen.masks is not None
     used = walk.used(seen)
     views = walk.carving.views(seen.depth, used)
@@ -238,18 +237,13 @@ def _begin(walk: _Walk, seen: Seen) -> Seen:
     if seen.depth is not None:
         measured = np.full((len(hull.voxels), 3), np.nan, dtype=np.float32)
         measured[hull.is_surface] = measured_surface(hull.voxels[hull.is_surface], hull.grid, views)
-    pixels = sample_silhouettes(seen.masks, seen.pictures, used)
-    return replace(seen, hull=hull, begun=hull_row(hull, unknown, used, pixels, measured))
-
-
-def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
-    """What the frame says of the cameras."""
-    assert seen.masks is not None
     if walk.monitor is not None:
         rows = [walk.carving.rig.names.index(name) for name in walk.monitor.rig.names]
         pictures = None if seen.pictures is None else [seen.pictures[c] for c in rows]
         walk.monitor.add(seen.frame, [seen.masks[c] for c in rows], pictures)
-    return walk, seen, [Row(PRODUCT, seen.frame, seen.begun)]
+    pixels = sample_silhouettes(seen.masks, seen.pictures, used)
+    row = hull_row(hull, unknown, used, pixels, measured)
+    return walk, replace(seen, hull=hull), [Row(PRODUCT, seen.frame, row)]
 
 
 def _finish(walk: _Walk) -> Ending:
@@ -362,7 +356,7 @@ CARVE = Stage(
     until="carve",
     products=(PRODUCT,),
     # Coloured hulls of every frame. Source: CF 2.2.4.
-    work=FrameWork(_reads, _start, _step, _finish, finds=("hull",), begin=_begin),
+    work=FrameWork(_reads, _start, _step, _finish, finds=("hull",)),
     report=carve_report,
     needs=("segment", "occluders"),
     # Of the masks, which cameras are never without somebody. Both are there in a run that computes all; a kill may

@@ -100,21 +100,13 @@ def second_look(session: Session) -> SecondLook | None:
         return None  # the stage that carves says why
 
 
-def _begin(state: _Segmenting, seen: Seen) -> Seen:
-    """Every camera on its own."""
-    if seen.masks is not None:
-        return seen
-    assert seen.pictures is not None
-    return replace(seen, begun=list(state.each(_segmented, state.segmenters, seen.pictures)))
-
-
 def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[Row]]:
-    """All cameras together."""
     if seen.masks is not None:
         n = len(seen.masks)
         row = mask_row(seen.masks, np.full(n, np.nan, dtype=np.float32), np.ones(n, dtype=np.bool_))
         return state, seen, [Row(PRODUCT, seen.frame, row)]
-    found: list[ForegroundMask] = seen.begun
+    assert seen.pictures is not None
+    found = list(state.each(_segmented, state.segmenters, seen.pictures))
     usable = np.array([m.is_usable for m in found])
     shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
     masks = [m.mask for m in found]
@@ -221,7 +213,7 @@ SEGMENT = Stage(
     until="segment",
     products=(PRODUCT,),
     # Foreground masks of every frame: computed, or taken over from masks/. Source: CF 2.2.3.
-    work=FrameWork(_reads, _start, _step, _finish, finds=("masks",), begin=_begin),
+    work=FrameWork(_reads, _start, _step, _finish, finds=("masks",)),
     report=segment_report,
     sections=("segmentation",),
     facts=("fps", "roi_px", "room_bounds_m"),
