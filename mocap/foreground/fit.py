@@ -84,7 +84,7 @@ def fit_background(background: Background, pictures: Sequence[Image]) -> Fit:
     n_differing = np.zeros(stack.shape[1:3], dtype=np.int64)
     for picture in stack:
         n_differing += cv2.inRange(cv2.absdiff(picture, moved.mean), (0, 0, 0), (_FAR, _FAR, _FAR)) == 0
-    alike, differing = likeness(moved.mean, usual), float((n_differing == len(stack)).mean())
+    alike, differing = _likeness(moved.mean, usual), float((n_differing == len(stack)).mean())
     if alike < _LEAST_LIKENESS and differing > _LEAST_DIFFERING:
         return replace(unfitted(background), is_elsewhere=True, likeness=alike, differing_share=differing)
     gone = _gone(n_differing >= _MOSTLY * len(stack), moved.mean, usual)
@@ -116,7 +116,7 @@ def _grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.clip(grey - cv2.GaussianBlur(grey, (0, 0), 8.0), -_FAR, _FAR)
 
 
-def likeness(mean: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
+def _likeness(mean: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
     """Correlation of the fine structures of two pictures (H, W, 3); 1 where one of them has hardly any."""
     a, b = (cv2.GaussianBlur(_grey(picture), (0, 0), 1.0) for picture in (mean, usual))
     texture = min(float(np.sqrt(np.mean(image * image))) for image in (a, b))

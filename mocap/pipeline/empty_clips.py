@@ -23,8 +23,12 @@ _SHIFT_WORTH_A_WORD_PX = 1.0
 
 
 def fits_of(session: Session, n_threads: int = 1) -> dict[str, Fit]:
-    """The fits of all cameras that have a clip of the empty scene, by name. Raises MocapError as `fit_of_clip` does."""
-    cameras = [camera for camera in session.rig if camera.name in session.background_sources]
+    """The fits of all cameras that have a clip of the empty scene, by name; none where masks are taken over.
+
+    Raises MocapError as `fit_of_clip` does.
+    """
+    named = () if session.mask_sources else session.background_sources
+    cameras = [camera for camera in session.rig if camera.name in named]
     found = in_parallel(lambda camera: fit_of_clip(camera, session), cameras, n_threads)
     return {camera.name: fit for camera, fit in zip(cameras, found, strict=True)}
 

@@ -31,7 +31,7 @@ def check_people(session: Session) -> list[Finding]:
     if not session.image_sources and not session.mask_sources:
         return []
     try:
-        fits = {} if session.mask_sources else fits_of(session)
+        fits = fits_of(session)
         hulls = hulls_to_check(session, fits)
     except MocapError as error:
         return [Finding("warning", f"people could not be looked at: {error.message}")]

@@ -162,7 +162,7 @@ def look_at(
     frames = session.stretches[0]  # what is seen later is of cameras that stand elsewhere
     stride = max(1, len(frames) // n_frames)
     n_threads = n_threads or min(2, os.cpu_count() or 1)
-    fits = {} if session.mask_sources else fits_of(session, n_threads)
+    fits = fits_of(session, n_threads)
     return hulls_of(session, frames[::stride], fits, n_threads=n_threads, progress=progress), stride
 
 

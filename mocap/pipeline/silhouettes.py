@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from mocap.arrays import Array, Image, Mask
 from mocap.data import Camera
-from mocap.foreground import Background, Fit, Segmenter, median_background
+from mocap.foreground import Fit, Segmenter, median_background
 from mocap.io.session import Session
 from mocap.io.session.reading import masks_of, pictures_of
 from mocap.progress import Progress, no_progress
@@ -17,12 +17,17 @@ from mocap.threads import in_parallel
 from mocap.volume.synchrony import silhouette_hull
 
 
-def foreground(pictures: Callable[[], Iterable[Image]], background: Background | None) -> Iterator[Mask]:
+def foreground(pictures: Callable[[], Iterable[Image]], empty: Fit | None) -> Iterator[Mask]:
     """The foreground (H, W) of one camera's pictures.
 
-    pictures : begins them anew at every call.  background : of the empty scene; None = their median.
+    pictures : begins them anew at every call.  empty : of the clip of the empty scene; the median of the pictures takes
+    its place where there is none, or one of another place.
     """
-    segmenter = Segmenter(median_background(pictures()) if background is None else background)
+    if empty is None or empty.is_elsewhere:
+        background = median_background(pictures())
+    else:
+        background = empty.background
+    segmenter = Segmenter(background)
     for picture in pictures():
         yield segmenter.segment(picture).mask
 
@@ -60,5 +65,4 @@ def _masks(session: Session, camera: Camera, frames: range, fits: Mapping[str, F
         with pictures_of(session, frames, cameras=(camera.name,)) as reader:
             yield from (images[0] for _, images in reader)
 
-    fit = fits.get(camera.name)
-    yield from foreground(pictures, None if fit is None or fit.is_elsewhere else fit.background)
+    yield from foreground(pictures, fits.get(camera.name))

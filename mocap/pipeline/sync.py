@@ -278,9 +278,9 @@ def _masks(clips: OpenedClips, name: str) -> Iterator[Mask]:
     def pictures() -> Iterator[Image]:
         yield from iter_clip(clips.images[name], size=camera.size, camera=name)
 
-    if (clip := clips.background.get(name)) is None:
-        yield from foreground(pictures, None)
-        return
-    wanted = frames_to_fit(clips.clips[name].n_frames, clips.fps)
-    fit = fitted(clip, camera, list(islice(pictures(), wanted.start, wanted.stop, wanted.step)))
-    yield from foreground(pictures, None if fit.is_elsewhere else fit.background)
+    empty = None
+    if name in clips.background:
+        wanted = frames_to_fit(clips.clips[name].n_frames, clips.fps)
+        some = list(islice(pictures(), wanted.start, wanted.stop, wanted.step))
+        empty = fitted(clips.background[name], camera, some)
+    yield from foreground(pictures, empty)
