@@ -36,10 +36,9 @@ RESULTS = ROOT / "eval" / "results" / "feet.csv"
 DEV = ROOT.parent / "shared" / "dev_sessions"
 SCENES = ("walk", "jog", "squat", "jump", "dev:steps", "walk_test", "jog_test", "squat_test", "jump_test")
 BODIES = {
-    "girdle": ("body.model=girdle",),
-    "whole": ("body.model=whole",),
-    "whole-free": ("body.model=whole", "method.contact.hold=0"),
-    "whole-outlines": ("body.model=whole", "pose.outline_weight=8"),
+    "girdle": ("body.model=girdle", "pose.outline_weight=3"),
+    "whole": (),
+    "whole-free": ("method.contact.hold=0",),
 }
 KINDS = ("heel", "toe", "hand_tip")
 FIELDS = (

@@ -222,7 +222,7 @@ def scores(found: Sequence[Motion], truth: Sequence[Motion], n_frames: int) -> d
 def _errors(estimate: Motion, truth: Motion) -> tuple[Array, Array]:
     """Errors (T, 15) mm on the frames that both have, raw and after one offset per landmark."""
     frames, i, j = np.intersect1d(estimate.frames, truth.frames, return_indices=True)
-    a, b = estimate.landmarks[i], truth.landmarks[j]
+    a, b = estimate.landmarks[i][:, : len(LANDMARKS)], truth.landmarks[j]
     if not len(frames):
         return np.zeros((0, len(LANDMARKS))), np.zeros((0, len(LANDMARKS)))
     return point_errors(a, b), point_errors(offset_corrected(a, b), b)

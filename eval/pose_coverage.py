@@ -96,7 +96,7 @@ def claims_of(name: str, seed: int, work: Path, *, again: bool) -> Claims:
 def _measured(name: str, seed: int, work: Path) -> dict[str, Any]:
     from mocap.body import landmarks_of
     from mocap.compare import associate_persons
-    from mocap.data import Motion, Tracks
+    from mocap.data import LANDMARKS, Motion, Tracks
     from mocap.io.session import open_session
     from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
@@ -125,15 +125,16 @@ def _measured(name: str, seed: int, work: Path) -> dict[str, Any]:
         if poses is None or poses.series is None:
             continue
         _, a, b = np.intersect1d(poses.frames, true.frames, return_indices=True)
-        columns["estimate"].append(poses.landmarks[a])
+        scored = a, slice(None, len(LANDMARKS))
+        columns["estimate"].append(poses.landmarks[scored])
         columns["truth"].append(true.landmarks[b])
-        columns["std"].append(np.sqrt(np.diagonal(poses.landmark_covariance, axis1=2, axis2=3))[a])
+        columns["std"].append(np.sqrt(np.diagonal(poses.landmark_covariance, axis1=2, axis2=3))[scored])
         columns["blind"].append(np.isnan(poses.log_likelihood[a]))
-        columns["misfit"].append(landmark_misfit(poses.body, poses.series)[a])
-        columns["raw"].append(landmarks_of(poses.body, poses.series.states)[a])
+        columns["misfit"].append(landmark_misfit(poses.body, poses.series)[scored])
+        columns["raw"].append(landmarks_of(poses.body, poses.series.states)[scored])
         columns["person"].append(np.full(len(a), poses.person))
         columns["frame"].append(poses.frames[a])
-        columns["observed"].append(poses.observed[a])
+        columns["observed"].append(poses.observed[scored])
     return {key: np.concatenate(value) for key, value in columns.items()} | {"fps": np.array(session.fps)}
 
 

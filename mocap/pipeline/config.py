@@ -112,8 +112,8 @@ class BodyConfig(_Section):
     """The body model."""
 
     model: NameOrFile = "auto"
-    """A preset (`anthropometric`, `girdle`, `thesis`, `whole`) or a body file; `auto` = `girdle` where poses are
-    refined on volumes, else `anthropometric`."""
+    """A preset (`anthropometric`, `girdle`, `thesis`, `whole`) or a body file; `auto` = `whole`, with feet and
+    hands, where poses are refined on volumes, else `anthropometric`."""
     height_m: float | None = Field(default=None, gt=0.3, lt=2.6)
     """Standing height; the body file's value, the session's or the volume decides when absent."""
     sizing: Literal["head", "poses"] = "head"
@@ -184,7 +184,7 @@ class PoseConfig(_Section):
     """Second-order refinement of every estimate on the hull's surface; false = the published filter alone."""
     surface_weight: float = Field(default=1.0, ge=0)
     """Weight of the hull's surface in refinement and evidence."""
-    outline_weight: float = Field(default=3.0, ge=0)
+    outline_weight: float = Field(default=8.0, ge=0)
     """Weight of the silhouettes' outlines in refinement and evidence; 0 = without."""
     posture_nats: float = Field(default=2.0, ge=0)
     """What it costs an arm to point at right angles to where it hangs at ease, half of what the opposite way costs: it
@@ -304,8 +304,8 @@ class Config(_Section):
         """Name or file of the body that poses are found with from voxels, markers or keypoints."""
         if self.body.model != "auto":
             return self.body.model
-        # The collar bones are held by what angles are usual, which only the refinement knows.
-        return "girdle" if observation != "markers" and self.pose.refine else "anthropometric"
+        # Collar bones, hands and feet are held by what angles are usual, which only the refinement knows.
+        return "whole" if observation != "markers" and self.pose.refine else "anthropometric"
 
 
 _PRESETS = resources.files("mocap") / "presets"

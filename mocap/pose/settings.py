@@ -20,7 +20,7 @@ class PoseSettings:
     table_density: float = 1.0
     refine: bool = True
     surface_weight: float = 1.0
-    outline_weight: float = 3.0
+    outline_weight: float = 8.0
     posture_nats: float = 2.0
     colour_weight: float = 200.0
     feedback_share: float = 0.5

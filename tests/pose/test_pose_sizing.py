@@ -146,4 +146,4 @@ def test_no_size_is_fitted_and_outlines_say_little_where_the_volume_holds_more_t
     height = HeightEstimate(HEIGHT_M, is_measured=True)
     start = person.start_person(clip, height, seed=0, is_size_fitted=True)
     assert bool(fitted) is not with_cupboard
-    assert start.tools.settings.outline_weight == (0.3 if with_cupboard else 3.0)
+    assert start.tools.settings.outline_weight == (0.3 if with_cupboard else 8.0)
