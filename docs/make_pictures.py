@@ -207,7 +207,7 @@ def body() -> Image:
     camera = studio()
     ground = np.full((camera.size[1], camera.size[0], 3), 38, dtype=np.uint8)
     tiles, labels = [], []
-    for name in ("girdle", "anthropometric", "thesis"):
+    for name in ("whole", "anthropometric", "thesis"):
         model = scale_body(load_body_model(name), 1.75)
         rest = np.zeros(model.layout.n_columns)
         rest[2] = neutral_state(model)[2]
@@ -215,7 +215,7 @@ def body() -> Image:
         view = draw_axes(view, camera, joint_transforms(model, rest[None]), model.joints)
         tiles.append(view)
         labels.append(f"{name}, rest pose, 1.75 m")
-    model = scale_body(load_body_model("girdle"), 1.75)
+    model = scale_body(load_body_model("whole"), 1.75)
     state = neutral_state(model)
     for column, value in (
         ("right_elbow_z", 1.2),
