@@ -113,7 +113,8 @@ def test_bodies_have_the_columns_that_the_pages_say() -> None:
     for column in set(columns["whole"]) - set(columns["girdle"]):
         side, _, name = column.partition("_")
         before = columns["whole"][columns["whole"].index(column) - 1]
-        assert f"SIDE_{name}" in page and before == f"{side}_{further[name]}"
+        assert f"SIDE_{name}" in page
+        assert before == f"{side}_{further[name]}"
     assert all(f"(D = {len(own)})" in page for own in columns.values())
     readme = (DOCS.parent / "README.md").read_text(encoding="utf-8").replace("\n", " ")
     assert f"feet and hands ({len(columns['whole'])} degrees of freedom)" in readme

@@ -18,7 +18,7 @@ import pytest
 from small_session import CAMERAS, FPS, N_FRAMES, PLAIN, SETTINGS, copy_session, digests, mocap, set_options
 
 import mocap as library
-from mocap.data import LANDMARKS
+from mocap.data import ALL_LANDMARKS, LANDMARKS
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
@@ -109,7 +109,9 @@ def test_tables(full: RunResult) -> None:
         *("frame", "time_s", "person", "landmark", "x_m", "y_m", "z_m"),
         *("std_x_m", "std_y_m", "std_z_m", "observed"),
     ]
-    assert [(int(r[0]), r[3]) for r in rows[1:]] == [(f, name) for f in range(N_FRAMES) for name in LANDMARKS]
+    assert [(int(r[0]), r[3]) for r in rows[1:]] == [
+        (f, name) for f in range(N_FRAMES) for name in ALL_LANDMARKS
+    ]
     values = np.array([[float(v) for v in r[4:10]] for r in rows[1:]])
     assert np.isfinite(values).all()
     assert (values[:, 3:] > 0).all()
@@ -154,9 +156,9 @@ def test_pose_npz_needs_no_pickle(full: RunResult) -> None:
     assert arrays["persons"].tolist() == [1]
     assert arrays["person_1_frames"].tolist() == list(range(N_FRAMES))
     assert arrays["person_1_state"].shape == (N_FRAMES, columns)
-    assert arrays["person_1_landmarks_m"].shape == (N_FRAMES, len(LANDMARKS), 3)
+    assert arrays["person_1_landmarks_m"].shape == (N_FRAMES, len(ALL_LANDMARKS), 3)
     covariance = arrays["person_1_landmark_covariance_m2"]
-    assert covariance.shape == (N_FRAMES, len(LANDMARKS), 3, 3)
+    assert covariance.shape == (N_FRAMES, len(ALL_LANDMARKS), 3, 3)
     assert (np.linalg.eigvalsh(covariance) > 0).all()
     landmarks = read_landmarks_csv(full.out / "landmarks.csv")[0].landmarks
     np.testing.assert_allclose(arrays["person_1_landmarks_m"], landmarks, atol=1e-6)
