@@ -25,7 +25,7 @@ class Place(NamedTuple):
 
 
 # Where MediaPipe's points lie on people whose joints are known: means over two development sessions of which no result
-# is reported, printed by `python -m eval.keypoints --fit`. Other tools differ by a centimetre or two, which is learnt
+# is reported, printed by `python -m eval.keypoint_places`. Other tools differ by a centimetre or two, which is learnt
 # from every clip anew; the head's top and the neck are those of the body.
 PLACES: dict[str, Place] = {
     "nose": Place("head", (0.058, 0.0, -0.088)),

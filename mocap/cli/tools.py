@@ -192,11 +192,17 @@ def check(
 ) -> None:
     """Look at a session before running it: calibration, cameras, clips, background, people, and what to mend."""
     from mocap.io.session import check_session, open_session
+    from mocap.pipeline.figures_check import check_figures
     from mocap.pipeline.foresight_check import check_foresight
     from mocap.pipeline.people_check import check_people
 
     opened = open_session(session, calibration=calibration, frames=parse_frames(frames))
-    findings = [*check_session(opened), *check_foresight(opened), *check_people(opened)]
+    findings = [
+        *check_session(opened),
+        *check_figures(opened),
+        *check_foresight(opened),
+        *check_people(opened),
+    ]
     for stretch in opened.stretches[1:]:
         part = open_session(session, calibration=calibration, frames=(stretch.start, stretch.stop))
         for said in check_people(part):

@@ -623,7 +623,7 @@ class BeamSettings(_Strict):
 class KeypointPoseSettings(_Strict):
     """A pose from keypoints: how they pull, and how body and offsets are fitted to a clip.
 
-    Chosen on development sessions with `python -m eval.keypoints`.
+    Chosen on development sessions with `python -m eval.evidence`.
     """
 
     scale: float = 3.0
@@ -636,6 +636,8 @@ class KeypointPoseSettings(_Strict):
     """A keypoint this near to a landmark, at rest, shows it."""
     worth: float = 0.1
     """What a residual is worth as evidence: views of one keypoint err alike, and for many frames."""
+    lone_std_m: float = 0.1
+    """Deviation of how far away somebody is whom one camera alone shows: a body's middle is not above the foot."""
     fused_worth: float = 1.0
     """The same beside volumes, with `fused_noise`: a limb on which views agree outweighs a volume that lacks it, while
     small differences, offsets of a tool perhaps, weigh as little as alone."""

@@ -58,6 +58,11 @@ class FaultSettings:
     pair_focal: float = 0.008
     """Distance from epipolar lines, as a share of the focal length, to which an explanation must bring two cameras
     alone: right ones leave 0.005 of it, the best of another clip's keypoints 0.014."""
+    beside_m: float = 0.12
+    """Median distance over the floor of keypoints' trunks from the volumes in the same frame, from which it is looked
+    into: right ones lie 30 to 60 mm off."""
+    elsewhere_m: float = 0.4
+    """The same from which keypoints and pictures are not of one recording, whatever the reason."""
     agreed_share: float = 0.6
     """Share of the frames with somebody in two pictures or more, in which at least two cameras must agree on somebody:
     0.97 to 1 of good keypoints, up to 0.45 of another clip's."""
@@ -65,12 +70,14 @@ class FaultSettings:
 
 @dataclass(frozen=True)
 class FigureFault:
-    """What is wrong.  camera : its index, None = all or none of them.  person : that is none, by its number."""
+    """What is wrong.  camera : its index, None = all or none of them.  person : that is none, by its number.
+    is_unexplained : the camera's keypoints lie elsewhere, and nothing is known that explains it."""
 
     message: str
     remedy: str
     camera: int | None = None
     person: int | None = None
+    is_unexplained: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +112,7 @@ def find_figure_faults(clip: Clip) -> list[FigureFault]:
         found = _of_pair(clip)
     else:
         faults = [_of_camera(clip, camera) for camera in range(len(clip.views.P))]
-        found = [fault for fault in faults if fault is not None]
+        found = _or_all_of_them(clip, [fault for fault in faults if fault is not None])
     return (found or _strangers(clip)) + _mirrored(clip) + _pictures(clip)
 
 
@@ -207,7 +214,23 @@ def _of_camera(clip: Clip, camera: int) -> FigureFault | None:
         "detect all persons in all pictures (who is seen by one camera alone is not followed), check the files, or "
         "leave the camera out (session.toml: cameras)",
         camera,
+        is_unexplained=True,
     )
+
+
+def _or_all_of_them(clip: Clip, found: list[FigureFault]) -> list[FigureFault]:
+    """Faults of single cameras; where more than half agree with nobody, it is no single camera's."""
+    strange = [fault.camera for fault in found if fault.is_unexplained]
+    if 2 * len(strange) <= len(clip.names):
+        return found
+    names = ", ".join(clip.names[c] for c in strange if c is not None)
+    return [
+        FigureFault(
+            f"the keypoints of cameras {names} do not agree with those of the others, {len(strange)} of "
+            f"{len(clip.names)}: keypoints or calibration are of another rig or clip, or the cameras run apart",
+            "check that keypoints/ and the calibration are of this recording, and run `mocap sync`",
+        )
+    ]
 
 
 def _of_pair(clip: Clip) -> list[FigureFault]:
@@ -264,6 +287,42 @@ def _strangers(clip: Clip) -> list[FigureFault]:
             "run `mocap sync`",
         )
     ]
+
+
+def find_volume_fault(
+    places: Mapping[int, Array], volumes: Mapping[int, Array], settings: FaultSettings
+) -> FigureFault | None:
+    """What is wrong with keypoints that agree with each other and not with the volumes in the same pictures.
+
+    places, volumes : frame -> (P, 3) m, the middles of the trunks of persons and of their volumes.
+    """
+    own = _beside_m(places, volumes, lambda frame: frame)
+    if not np.isfinite(own) or own <= settings.beside_m:
+        return None
+    gaps = {what: _beside_m(places, volumes, at) for what, at in _other_clocks(settings).items()}
+    what = min(gaps, key=gaps.__getitem__)
+    if gaps[what] <= settings.better * own:
+        said = what.replace("the others", "the pictures")
+        return FigureFault(f"the keypoints are {said} beside the pictures", "number frames as the clips do")
+    if own <= settings.elsewhere_m:
+        return None
+    return FigureFault(
+        f"the keypoints agree with each other, and lie {1000 * own:.0f} mm from the volumes of the same frames: they "
+        "are of another clip than the pictures, or at another time",
+        "check that keypoints/ is of this recording, or run without them (--observation voxels)",
+    )
+
+
+def _beside_m(
+    places: Mapping[int, Array], volumes: Mapping[int, Array], shown_at: Callable[[int], int]
+) -> float:
+    """Median over frames of the distance over the floor of the person nearest to a volume, m; inf where few tell."""
+    gaps = []
+    for frame, own in volumes.items():
+        persons = places.get(shown_at(frame))
+        if persons is not None and len(persons) and len(own):
+            gaps += np.linalg.norm(own[:, None, :2] - persons[None, :, :2], axis=2).min(axis=1).tolist()
+    return float(np.median(gaps)) if len(gaps) >= FaultSettings.least_frames else float("inf")
 
 
 def _other_clocks(settings: FaultSettings) -> dict[str, Callable[[int], int]]:

@@ -24,16 +24,16 @@ _SEGMENTS = [
     for side in ("left", "right")
     for a, b in (("shoulder", "hip"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
 ]
-_TRUNK = [KEYPOINTS.index(f"{side}_{name}") for name in ("shoulder", "hip") for side in ("left", "right")]
+TRUNK = [KEYPOINTS.index(f"{side}_{name}") for name in ("shoulder", "hip") for side in ("left", "right")]
 
 
 @dataclass(frozen=True)
 class FigureSettings:
-    """How figures become persons. Chosen on development sessions with `python -m eval.keypoints`."""
+    """How figures become persons. Chosen on development sessions with `python -m eval.evidence`."""
 
     noise_m: float = 0.018
     """Deviation of a keypoint of confidence 1 along each axis, at the person's distance: half of MediaPipe's points
-    with a confidence above 0.9 lie within 23 mm of the joint (`python -m eval.keypoints --fit`)."""
+    with a confidence above 0.9 lie within 23 mm of the joint (`python -m eval.keypoint_places`)."""
     noise_px: float = 1.0
     """Its least deviation, px."""
     sure: float = 0.05
@@ -288,7 +288,7 @@ def figures_of_places(
 
 def _from_trunk_m(place: Array, figure: View2D, views: FigureViews) -> float:
     """Distance of a figure's trunk from the image of a place (3,) m, at its depth, m."""
-    trunk = figure.uv[_TRUNK]
+    trunk = figure.uv[TRUNK]
     seen = trunk[np.isfinite(trunk).all(axis=1)]
     x = views.P[figure.camera] @ np.append(place, 1.0)
     if len(seen) < 2 or not x[2] > 0:

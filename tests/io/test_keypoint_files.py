@@ -176,6 +176,13 @@ def test_keypoints_of_another_resolution_are_refused(tmp_path: Path, rig: Camera
         read_keypoints({rig.names[0]: tmp_path / "cam.csv"}, rig, range(1))
 
 
+def test_fractions_of_the_picture_are_refused(tmp_path: Path, rig: CameraRig) -> None:
+    figure = np.column_stack([np.linspace([0.1, 0.9], [0.7, 0.2], len(KEYPOINTS)), np.ones(len(KEYPOINTS))])
+    write_keypoints_csv(tmp_path / "cam.csv", [(0, 0, figure)])
+    with pytest.raises(MocapError, match="fractions of the picture"):
+        read_keypoints({rig.names[0]: tmp_path / "cam.csv"}, rig, range(1))
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_damaged_files_give_a_value_or_a_message(name: str, tmp_path: Path, rig: CameraRig) -> None:
     path = FORMATS[name](tmp_path)

@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from mocap.data import CameraRig
 from mocap.data.keypoints import MIRRORED
 from mocap.likelihood.markers import marker_views, undistort
-from mocap.tracking.figure_faults import Clip, FaultSettings, FigureFault, find_figure_faults
+from mocap.tracking.figure_faults import (
+    Clip,
+    FaultSettings,
+    FigureFault,
+    find_figure_faults,
+    find_volume_fault,
+)
 from mocap.tracking.figures import FigureSettings, FigureViews, View2D, persons_of_figures
 
 FPS = 25.0
@@ -175,3 +181,41 @@ def test_keypoints_of_another_rig_are_named_though_no_camera_can_be_blamed() -> 
     (fault,) = faults(figures, world)
     assert "agree on a person in" in fault.message
     assert fault.camera is None
+
+
+def test_another_rig_is_no_single_cameras_fault() -> None:
+    """Every camera looks at some other place: they meet in somebody now and then, and most agree with nobody."""
+    world = keypoint_world(N, noise_px=1.5, n_cameras=5)
+    rng = np.random.default_rng(7)
+    places = rng.uniform(-40, 40, (5, 2))
+    figures = {
+        f: [replace(g, uv=g.uv + places[g.camera] * (1 + 0.05 * f)) for g in seen]
+        for f, seen in figures_of(world).items()
+    }
+    (fault,) = faults(figures, world)
+    assert fault.camera is None
+    assert "of another rig or clip" in fault.message
+
+
+def middles(world: KeypointWorld) -> dict[int, NDArray[np.float64]]:
+    return {f: x[None, 0] for f, x in enumerate(world.landmarks[0])}
+
+
+def test_keypoints_of_another_time_than_the_volumes_are_named() -> None:
+    world = keypoint_world(N)
+    own, settings = middles(world), FaultSettings()
+    beside = {f: np.add(x, (0.05, 0.02, 0.3)) for f, x in own.items()}
+    assert find_volume_fault(beside, own, settings) is None
+    half = {f: own[2 * f] for f in range(N // 2)}
+    fault = find_volume_fault(half, own, settings)
+    assert fault is not None
+    assert "at 0.5 times the frame rate of the pictures" in fault.message
+    late = {f + 14: x for f, x in own.items()}
+    fault = find_volume_fault(late, own, settings)
+    assert fault is not None
+    assert "late by" in fault.message
+    elsewhere = {f: np.add(x, (0.9, -0.4, 0.0)) for f, x in own.items()}
+    fault = find_volume_fault(elsewhere, own, settings)
+    assert fault is not None
+    assert "of another clip than the pictures" in fault.message
+    assert find_volume_fault({}, own, settings) is None

@@ -69,6 +69,13 @@ def _check_inside(clip: CameraKeypoints, camera: Camera) -> None:
         return
     uv = np.stack(figures)[..., :2]
     uv = uv[np.isfinite(uv).all(axis=-1)]
+    if len(uv) and (np.abs(uv - 0.5) <= 1.0).mean() > 1.0 - _MOST_OUTSIDE:
+        raise MocapError(
+            "the keypoints are fractions of the picture, or all in its corner",
+            path=clip.path,
+            camera=camera.name,
+            remedy=f"multiply them by its size, {camera.size[0]} x {camera.size[1]} pixels",
+        )
     if len(uv) and (~camera.contains(uv)).mean() > _MOST_OUTSIDE:
         w, h = camera.size
         raise MocapError(

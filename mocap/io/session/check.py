@@ -172,13 +172,14 @@ def clips(session: Session) -> list[Finding]:
     if session.depth_sources:
         what.append(f"depth of {', '.join(session.depth_sources)}")
     counts = sorted({clip.n_frames for clip in session.clips.values()})
-    spread = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}" if counts else "no"
+    spread = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}" if counts else ""
     frames = session.frames
+    used = f"{spread} frames per camera, {len(frames)} used" if counts else f"{len(frames)} frames used"
     out = [
         Finding(
             "ok",
-            f"{' and '.join(what)}: {spread} frames per camera, {len(frames)} used ({frames.start}:{frames.stop}), "
-            f"{session.fps:g} per second, {len(frames) / session.fps:.1f} s",
+            f"{' and '.join(what)}: {used} ({frames.start}:{frames.stop}), {session.fps:g} per second, "
+            f"{len(frames) / session.fps:.1f} s",
         )
     ]
     return out

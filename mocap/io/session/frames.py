@@ -108,10 +108,21 @@ def check_durations(
 
 
 def frame_counts(clips: Mapping[str, ClipInfo], detections: Mapping[str, Path]) -> dict[str, int]:
-    """Frames by clip; where there are only detections, as many as the longest table of them has."""
+    """Frames by clip; where there are only detections, as many as the longest table of them has.
+
+    Raises MocapError when all of them are empty.
+    """
     if clips:
         return {name: clip.n_frames for name, clip in clips.items()}
     longest = max(_detected_frames(path) for path in detections.values())
+    if not longest:
+        first = min(detections, key=detections.__getitem__)
+        raise MocapError(
+            "no camera's file has a frame in it",
+            path=detections[first],
+            camera=first,
+            remedy="write the files again with the tool they come from",
+        )
     return dict.fromkeys(detections, longest)
 
 

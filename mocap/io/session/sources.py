@@ -186,7 +186,9 @@ def cameras_with_sources(root: Path, rig: CameraRig, sources: Sources) -> Camera
             remedy="add the videos of the other cameras, named as in the calibration",
         )
     if absent:
-        raise _without_source(root, present, absent)
+        points = "detections" if main & {*sources.detections} else "keypoints"
+        has_pictures = bool(main & {*sources.pictures, *sources.masks})
+        raise _without_source(root, present, absent, "video, pictures or masks" if has_pictures else points)
     return rig.subset(present)
 
 
@@ -201,14 +203,14 @@ def _no_pictures(root: Path, rig: CameraRig, sources: Sources) -> MocapError:
     )
 
 
-def _without_source(root: Path, present: list[str], absent: list[str]) -> MocapError:
+def _without_source(root: Path, present: list[str], absent: list[str], what: str) -> MocapError:
     kept = ", ".join(f'"{n}"' for n in present)
     verbs = ("is", "has") if len(absent) == 1 else ("are", "have")
     return MocapError(
-        f"camera {listed(absent)} {verbs[0]} calibrated but {verbs[1]} no video, pictures or masks",
+        f"camera {listed(absent)} {verbs[0]} calibrated but {verbs[1]} no {what}",
         path=root,
         camera=absent[0],
-        remedy="add the missing clip, named as in the calibration, or leave the camera out in session.toml: "
+        remedy="add what is missing, named as in the calibration, or leave the camera out in session.toml: "
         f"cameras = [{kept}]",
     )
 

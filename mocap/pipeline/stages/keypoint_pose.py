@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mocap.body import Body, load_body_model, scale_body
 from mocap.body.keypoints import place_keypoints
 from mocap.data import CameraRig, Tracks
-from mocap.data.keypoints import N_KEYPOINTS
+from mocap.data.keypoints import KEYPOINTS, N_KEYPOINTS
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.likelihood.keypoints import KeypointViews
@@ -38,6 +38,13 @@ from mocap.tracking.figures import FigureSettings, View2D, deviation_px
 from mocap.tracking.renaming import Renaming, renamed
 
 Array = NDArray[np.float64]
+
+# A view from the side: from far away, so that all of a person is equally large.
+_ASIDE_M, _ASIDE_PX = 100.0, 1e5
+# Keypoints near the body's axis, which do not reach out towards a camera as arms and legs do.
+_UPRIGHT = np.array(
+    [name.rpartition("_")[2] in ("shoulder", "hip", "nose", "eye", "ear") for name in KEYPOINTS]
+)
 
 
 def keypoint_pose_stage(job: Job) -> None:
@@ -104,8 +111,16 @@ class KeypointWork:
         return [one for one in results if one is not None]
 
     def finished(self, one: FollowedPerson) -> PersonPoses:
-        """The smoothed poses of a followed person."""
-        return finish_keypoints(one)
+        """The smoothed poses of a followed person; the distance of one whom one camera alone shows is unsure."""
+        poses, views_of = finish_keypoints(one), self.views_of(one.person)
+        covariance = poses.landmark_covariance.copy()
+        for row, frame in enumerate(poses.frames):
+            views = views_of(int(frame))
+            if views is not None and len(views.P) > len(self.job.session.rig):
+                # Where feet stand errs alike in many frames: smoothing does not make it better.
+                along = views.P[-1, 0, :3] / np.linalg.norm(views.P[-1, 0, :3])
+                covariance[row] += self.job.config.method.keypoints.lone_std_m**2 * np.outer(along, along)
+        return replace(poses, landmark_covariance=covariance)
 
 
 def person_tools(config: Config, fps: float, height_m: float) -> PersonTools:
@@ -130,10 +145,14 @@ def views_of_person(
         at = np.flatnonzero(renamed(arrays["points_person"], frame, renamings) == person)
         if not len(at):
             return None
-        middle = np.nanmean(arrays["points"][at[0]], axis=0)
+        points = arrays["points"][at[0]]
+        middle = np.nanmean(points, axis=0)
         is_own = renamed(arrays["person"], frame, renamings) == person
         own = [figure_at(arrays, int(i), session.rig) for i in np.flatnonzero(is_own)]
-        return person_views(own, middle, views, slack_m)
+        seen = person_views(own, middle, views, slack_m)
+        if len(own) > 1:
+            return seen
+        return with_view_aside(seen, views.P[own[0].camera], points, config.method.keypoints.lone_std_m)
 
     return views_of
 
@@ -162,6 +181,29 @@ def person_views(
         own = deviation_px(FigureSettings(), f.confidence, depth, focal)
         noise[c] = np.hypot(own, slack_m * focal / max(depth, 0.1))
     return KeypointViews(views.P, uv, noise)
+
+
+def with_view_aside(seen: KeypointViews, P: Array, points: Array, std_m: float) -> KeypointViews:
+    """What one camera alone says of a person, and a view from the side that says how far away trunk and head are.
+
+    P : (3, 4) of the camera.  points : (K, 3) m, the person flat where its feet stand.  std_m : of this distance.
+    """
+    middle = np.nanmean(points, axis=0)
+    away = middle + np.linalg.solve(P[:, :3], P[:, 3])
+    along = np.array([away[0], away[1], 0.0]) / np.hypot(away[0], away[1])
+    down = np.array([0.0, 0.0, -1.0])
+    R = np.array([along, down, np.cross(along, down)])
+    aside = np.diag([_ASIDE_PX, _ASIDE_PX, 1.0]) @ np.column_stack([R, -R @ middle + [0.0, 0.0, _ASIDE_M]])
+    uvw = np.column_stack([points, np.ones(len(points))]) @ aside.T
+    uv = np.where(_UPRIGHT[:, None], uvw[:, :2] / uvw[:, 2:], np.nan)
+    # All of them err alike: together they know the distance as well as one of them.
+    n_seen = np.isfinite(uv).all(axis=1).sum()
+    noise = np.full(len(uv), np.sqrt(max(n_seen, 1)) * std_m * _ASIDE_PX / _ASIDE_M)
+    return KeypointViews(
+        np.concatenate([seen.P, aside[None]]),
+        np.concatenate([seen.uv, uv[None]]),
+        np.concatenate([seen.noise_px, noise[None]]),
+    )
 
 
 def keypoint_pose_report(job: Job) -> StageReport:
