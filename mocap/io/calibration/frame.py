@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.io.calibration.record import MOST_PX, CalibrationFile, RawCamera, RawRig, bad
-from mocap.io.units import METRES_PER_UNIT
+from mocap.io.units import METRES_PER_UNIT, Z_UP_FROM
 
 Array = NDArray[np.float64]
 
@@ -25,16 +25,6 @@ FOCAL_SHARE = (0.02, 1000.0)
 # Six printed decimals make R wrong by 1e-6; beyond 1e-2 it is another matrix, not a rounded rotation.
 # Below 1e-9 the matrix is left alone, so that our own files come back bit for bit.
 _ROTATION_EXACT, _ROTATION_NOTE, _ROTATION_LIMIT = 1e-9, 1e-6, 1e-2
-
-# Rows are our x, y, z (z up) in the axes of the file. Proper rotations: left and right stay what they are.
-_AXES_TO_Z_UP: dict[str, Array] = {
-    "z": np.eye(3),
-    "-z": np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]]),
-    "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
-    "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
-    "x": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
-    "-x": np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]]),
-}
 
 
 def in_our_frame(
@@ -111,7 +101,7 @@ def _z_up(
         notes.append(f"world turned so that {axis} of the file points up (our z)")
     if axis == "z":
         return cameras
-    A = _AXES_TO_Z_UP[axis]
+    A = Z_UP_FROM[axis]
     return [Camera(c.name, c.size, c.K, c.dist, c.R @ A.T, c.t, c.is_fisheye) for c in cameras]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from mocap.errors import MocapError
 from mocap.files import load_json
 from mocap.io.formats.table import PoseFile, PoseTable, check_places
+from mocap.io.units import Z_UP_FROM
 
 HD_FPS = 29.97
 _MOST = 10**15
@@ -34,7 +35,8 @@ def panoptic_folder(path: Path) -> Path | None:
 def read_panoptic(path: Path) -> PoseFile:
     """Read a folder of `body3DScene_FRAME.json` files, or a single one: persons by their id.
 
-    Centimetres, y down (up is -y), 29.97 frames per second; a joint of confidence 0 or less (-1) is unknown.
+    Centimetres, y down (up is -y), turned as the calibration of a sequence is; 29.97 frames per second; a joint of
+    confidence 0 or less (-1) is unknown.
     Raises MocapError for a file that is no such JSON.
     """
     path = Path(path)
@@ -49,7 +51,7 @@ def read_panoptic(path: Path) -> PoseFile:
         frames = np.array(sorted(found[person]), dtype=np.int64)
         xyz = np.stack([found[person][f] for f in frames.tolist()])
         people.append(PoseTable(person, names, frames, frames / HD_FPS, xyz))
-    return PoseFile(path, "Panoptic JSON", tuple(people), HD_FPS, "cm", "-y")
+    return PoseFile(path, "Panoptic JSON", tuple(people), HD_FPS, "cm", "-y", world_from_file=Z_UP_FROM["-y"])
 
 
 def _bodies_of(files: list[Path]) -> tuple[set[str], dict[int, dict[int, np.ndarray]]]:
