@@ -65,6 +65,7 @@ LAZY = frozenset(
         "matplotlib",
         "rerun",
         "ezc3d",
+        "cdflib",
         "zarr",
         "embreex",
         "open3d",

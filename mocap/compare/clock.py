@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap.compare.options import CompareOptions
 from mocap.compare.side import Side
-from mocap.data import Motion
+from mocap.data.motion import at_times
 from mocap.errors import MocapError
 
-Array = NDArray[np.float64]
-
 _SAME_RATE = 0.005  # rates this close, relatively, are one: 29.97 is not 30, but 30.00001 of rounded times is
-_SAME_INSTANT = 0.05  # of the time between two frames: times in files are rounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,33 +82,13 @@ def _shifted(side: Side, shift: int) -> Side:
 
 
 def _resampled(fast: Side, slow: Side) -> Side:
-    """The fast side at the instants of the slow one, linearly between neighbours that are both known."""
+    """The fast side at the instants of the slow one."""
     frames, index = np.unique(np.concatenate([m.frames for m in slow.motions]), return_index=True)
     times = np.concatenate([m.time_s for m in slow.motions])[index]
-    step = 1.0 / fast.reading.fps if fast.reading.fps else np.inf
-    motions = []
-    for m in fast.motions:
-        if len(m) < 2:
-            continue
-        after = np.clip(np.searchsorted(m.time_s, times, side="left"), 1, len(m) - 1)
-        before = after - 1
-        gap = m.time_s[after] - m.time_s[before]
-        share = (times - m.time_s[before]) / gap
-        # A frame at this very instant needs no neighbour; a hole in the recording, or its end, stays one.
-        snap = np.abs(share - share.round()) * gap < _SAME_INSTANT * step
-        share = np.where(snap, share.round(), share)
-        usable = (share >= 0.0) & (share <= 1.0) & (snap | (gap < 1.5 * step))
-        low, high, weight = before[usable], after[usable], share[usable]
-        landmarks = _between(m.landmarks[low], m.landmarks[high], weight)
-        std = None if m.std is None else _between(m.std[low], m.std[high], weight)
-        motions.append(Motion(m.person, frames[usable], times[usable], landmarks, std))
+    fps = fast.reading.fps
+    assert fps is not None  # it is the faster one
+    motions = [at_times(m, frames, times, fps) for m in fast.motions if len(m) > 1]
     return replace(fast.with_motions(motions), frames=None)
-
-
-def _between(low: Array, high: Array, share: Array) -> Array:
-    """(T, M, 3) between two frames; a neighbour of weight zero counts for nothing even where it is unknown."""
-    share = share[:, None, None]
-    return np.where(share == 0.0, low, np.where(share == 1.0, high, (1 - share) * low + share * high))
 
 
 def frames_to_score(estimate: Side, truth: Side) -> tuple[list[int], str | None]:

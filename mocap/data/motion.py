@@ -114,6 +114,38 @@ class Motion:
         return landmark_names(self.landmarks.shape[1])
 
 
+_SAME_INSTANT = 0.05  # of the time between two frames: times in files are rounded
+
+
+def at_times(motion: Motion, frames: NDArray[np.int64], times: Array, fps: float) -> Motion:
+    """A motion read at other times, linearly between neighbours that are both known, and numbered by other frames.
+
+    frames (K,), times (K,) s, ascending.  fps : of the motion. Times in a hole of it, before its first frame or after
+    its last one are left out. A motion of fewer than two frames has none.
+    """
+    if len(motion) < 2:
+        return Motion(motion.person, frames[:0], times[:0], motion.landmarks[:0])
+    step = 1.0 / fps
+    after = np.clip(np.searchsorted(motion.time_s, times, side="left"), 1, len(motion) - 1)
+    before = after - 1
+    gap = motion.time_s[after] - motion.time_s[before]
+    share = (times - motion.time_s[before]) / gap
+    # A frame at this very instant needs no neighbour; a hole in the recording, or its end, stays one.
+    snap = np.abs(share - share.round()) * gap < _SAME_INSTANT * step
+    share = np.where(snap, share.round(), share)
+    usable = (share >= 0.0) & (share <= 1.0) & (snap | (gap < 1.5 * step))
+    low, high, weight = before[usable], after[usable], share[usable]
+    std = None if motion.std is None else _between(motion.std[low], motion.std[high], weight)
+    landmarks = _between(motion.landmarks[low], motion.landmarks[high], weight)
+    return Motion(motion.person, frames[usable], times[usable], landmarks, std)
+
+
+def _between(low: Array, high: Array, share: Array) -> Array:
+    """(T, M, 3) between two frames; a neighbour of weight zero counts for nothing even where it is unknown."""
+    share = share[:, None, None]
+    return np.where(share == 0.0, low, np.where(share == 1.0, high, (1 - share) * low + share * high))
+
+
 @dataclass(frozen=True, eq=False)
 class Tracks:
     """Positions of persons over time as one table, rows sorted by frame, then person.

@@ -1,6 +1,6 @@
-"""Parsers that a damaged file can crash, run in a process of their own: OpenCV's FileStorage and ezc3d.
+"""Parsers that a damaged file can crash, run in a process of their own: FileStorage, C3D, MATLAB's .mat and CDF.
 
-Both are C++ that trusts its input: some files end them with a segmentation fault, take all memory or never come back.
+They trust their input: some files end them with a segmentation fault, take all memory or never come back.
 The parent starts `python -m mocap.io._child KIND PATH`, which may take so much time and memory and no more, and reads
 arrays and plain values from its output.
 """
@@ -28,6 +28,8 @@ LIMIT_S, LIMIT_S_PER_BYTE = 8.0, 2.0 / MB
 LIMIT_BYTES, LIMIT_BYTES_PER_BYTE = 4096 * MB, 64
 
 _NO_PACKAGE = 3
+# Parser -> package that it needs, and the extra that brings it.
+_PACKAGES = {"c3d": ("ezc3d", "export"), "cdf": ("cdflib", "sets")}
 # A matrix of FileStorage is a map with these keys, beside `rows` and `cols` or `sizes`.
 _MATRIX_KEYS = {"dt", "data"}
 
@@ -36,7 +38,7 @@ Content = tuple[Any, dict[str, NDArray[Any]]]
 
 
 def read_in_child(kind: str, path: Path, what: str, *, remedy: str) -> Content:
-    """What the parser `kind` ("storage" or "c3d") finds in a file.
+    """What the parser `kind` (one of PARSERS) finds in a file.
 
     Raises MocapError when the file cannot be read, and when the parser says so, crashes, or takes too long or too much.
     """
@@ -69,8 +71,9 @@ def _output_of_child(kind: str, path: Path, memory: int, seconds: float) -> tupl
 def _answer(code: int, output: bytes, kind: str, path: Path, what: str, remedy: str) -> Content:
     """The content that a child has written; MocapError for one that failed."""
     if code == _NO_PACKAGE:
+        package, extra = _PACKAGES[kind]
         raise MissingExtra(
-            f"reading {kind.upper()} needs the package ezc3d, which is not installed", "export", path=path
+            f"reading {kind.upper()} needs the package {package}, which is not installed", extra, path=path
         )
     if code == 0:
         with np.load(io.BytesIO(output), allow_pickle=False) as arrays:
@@ -166,7 +169,40 @@ def _c3d(path: str) -> Content:
     return values, {"points": points, "residuals": residuals}
 
 
-PARSERS: dict[str, Callable[[str], Content]] = {"storage": _storage, "c3d": _c3d}
+def _mat(path: str) -> Content:
+    """The numbers of a MATLAB file: `NAME` of a plain array, `NAME/k` of the k-th cell of a cell array.
+
+    Objects and functions, which would have to be understood as MATLAB's, are left out; scipy keeps them as bytes.
+    """
+    import scipy.io
+
+    found = scipy.io.loadmat(path, appendmat=False)
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, value in found.items():
+        if not isinstance(value, np.ndarray) or name.startswith("__"):
+            continue
+        cells = {f"{name}/{k}": cell for k, cell in enumerate(value.ravel())} if value.dtype == object else {}
+        for key, array in (cells or {name: value}).items():
+            if isinstance(array, np.ndarray) and array.dtype.kind in "iuf":
+                arrays[key] = array
+    return {}, arrays
+
+
+def _cdf(path: str) -> Content:
+    """The variables of a CDF file that hold numbers."""
+    import cdflib
+
+    file = cdflib.CDF(Path(path))
+    info = file.cdf_info()
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in [*info.zVariables, *info.rVariables]:
+        value = np.asarray(file.varget(name))
+        if value.dtype.kind in "iuf":
+            arrays[name] = value
+    return {}, arrays
+
+
+PARSERS: dict[str, Callable[[str], Content]] = {"storage": _storage, "c3d": _c3d, "mat": _mat, "cdf": _cdf}
 
 if __name__ == "__main__":
     try:

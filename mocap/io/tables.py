@@ -100,9 +100,10 @@ def _track_rows(
     return rows, status
 
 
-def write_landmarks_csv(path: Path | str, motions: Sequence[Motion]) -> None:
+def write_landmarks_csv(path: Path | str, motions: Sequence[Motion], *, with_unknown: bool = True) -> None:
     """Write the landmarks of all persons, rows by frame, person and order of the landmarks, atomically.
 
+    with_unknown : False leaves out the rows of landmarks that are not known.
     The columns std_*_m and observed are left out when there are motions and none has either (a truth); NaN is
     written as `nan`, a missing `observed` as an empty field.
     """
@@ -112,14 +113,16 @@ def write_landmarks_csv(path: Path | str, motions: Sequence[Motion]) -> None:
     columns = LANDMARK_COLUMNS + (UNCERTAINTY_COLUMNS if has_more else ())
     buffer.write(",".join(columns) + "\n")
     for _, _, k, i in order:
-        buffer.writelines(_landmark_lines(motions[k], i, has_more))
+        buffer.writelines(_landmark_lines(motions[k], i, has_more, with_unknown))
     atomic_text(Path(path), buffer.getvalue())
 
 
-def _landmark_lines(motion: Motion, i: int, has_more: bool) -> Iterator[str]:
+def _landmark_lines(motion: Motion, i: int, has_more: bool, with_unknown: bool) -> Iterator[str]:
     """The rows of one person in one frame.  has_more : with deviations and `observed`."""
     begin = f"{int(motion.frames[i])},{_text(motion.time_s[i])},{motion.person}"
     for j, name in enumerate(motion.names):
+        if not with_unknown and np.isnan(motion.landmarks[i, j]).any():
+            continue
         fields = [begin, name, *(_text(x) for x in motion.landmarks[i, j])]
         if has_more:
             std = np.full(3, np.nan) if motion.std is None else motion.std[i, j]

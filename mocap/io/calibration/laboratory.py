@@ -33,7 +33,7 @@ def read_humaneva(path: Path) -> RawRig:
     The skew of these files is a share of fx (Caltech's toolbox); the size of the pictures is not in them.
     """
     name = camera_name(path, path.stem)
-    values = _numbers_of(path, read_text(path, "the calibration", limit=DOCUMENT_LIMIT_BYTES), name)
+    values = numbers_in(path, read_text(path, "the calibration", limit=DOCUMENT_LIMIT_BYTES), name)
     if len(values) != _HUMANEVA_NUMBERS:
         raise bad(path, f"{len(values)} numbers, expected {_HUMANEVA_NUMBERS}", camera=name)
     fx, fy, cx, cy, skew = values[:5]
@@ -47,7 +47,7 @@ def read_biocv(path: Path) -> RawRig:
     """One camera: width, height, K by rows, [R | t] by rows in mm, distortion on the last line."""
     name = camera_name(path, path.name.split(".")[0])
     text = read_text(path, "the calibration", limit=DOCUMENT_LIMIT_BYTES)
-    lines = [_numbers_of(path, line, name) for line in text.splitlines() if line.strip()]
+    lines = [numbers_in(path, line, name) for line in text.splitlines() if line.strip()]
     head = [number for line in lines[:2] for number in line]
     counts = [len(line) for line in lines[2:8]]
     if len(head) != 2 or counts != [3, 3, 3, 4, 4, 4] or len(lines) < 9:
@@ -79,7 +79,7 @@ def read_qualisys(path: Path) -> RawRig:
     Lengths of lenses are in 64ths of a pixel of the sensor, of which fov_video is what was filmed. The matrix turns the
     camera's axes, of which y and z are the other way round than ours, into the world.
     """
-    root = _xml(path)
+    root = xml_root(path)
     found, notes, warnings = [], [], []
     for k, entry in enumerate(root.findall("cameras/camera")):
         name = camera_name(path, entry.get("serial") or str(k))
@@ -128,7 +128,7 @@ def read_vicon(path: Path) -> RawRig:
     ORIENTATION is the quaternion x y z w from the world to the camera, POSITION the camera's place in mm. The lens
     model of Vicon (VICON_RADIAL2: centre, then k1 k2 k3) is taken for OpenCV's.
     """
-    root = _xml(path)
+    root = xml_root(path)
     entries = root.findall("Camera")
     videos = [
         entry
@@ -162,7 +162,7 @@ def _vicon_camera(path: Path, name: str, entry: ElementTree.Element, key: Elemen
         raise bad(path, "ORIENTATION is no quaternion", camera=name)
     R = Rotation.from_quat(quaternion).as_matrix()
     radial = (key.get("VICON_RADIAL2") or "").split()[3:6]
-    k1, k2, k3 = [*_numbers_of(path, " ".join(radial), name), 0.0, 0.0, 0.0][:3]
+    k1, k2, k3 = [*numbers_in(path, " ".join(radial), name), 0.0, 0.0, 0.0][:3]
     size = _listed(path, name, entry, "SENSOR_SIZE", 2) if entry.get("SENSOR_SIZE") else None
     return RawCamera(
         name,
@@ -184,7 +184,7 @@ def joined(parts: Sequence[RawRig]) -> RawRig:
     )
 
 
-def _xml(path: Path) -> ElementTree.Element:
+def xml_root(path: Path) -> ElementTree.Element:
     """The root of an XML file. Definitions of entities, which can grow without end, are refused."""
     text = read_text(path, "the calibration", limit=DOCUMENT_LIMIT_BYTES)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
@@ -220,10 +220,10 @@ def _listed(path: Path, name: str, entry: ElementTree.Element, key: str, n: int)
     text = entry.get(key)
     if text is None:
         raise bad(path, f"{key} is missing", camera=name)
-    return numbers(path, name, key, _numbers_of(path, text, name), (n,)).tolist()
+    return numbers(path, name, key, numbers_in(path, text, name), (n,)).tolist()
 
 
-def _numbers_of(path: Path, text: str, name: str) -> list[float]:
+def numbers_in(path: Path, text: str, name: str | None) -> list[float]:
     """Finite numbers of a text, apart by spaces or commas."""
     try:
         values = [float(word) for word in text.replace(",", " ").split()]

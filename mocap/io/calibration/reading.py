@@ -17,6 +17,7 @@ from mocap.io.calibration.laboratory import joined, read_biocv, read_humaneva, r
 from mocap.io.calibration.opencap import opencap_files, read_opencap
 from mocap.io.calibration.opencv import read_opencv, read_opencv_folder
 from mocap.io.calibration.panoptic import read_panoptic
+from mocap.io.calibration.public_sets import is_totalcapture, read_skeletool, read_totalcapture
 from mocap.io.calibration.reconstruction import is_colmap, is_opensfm, read_colmap, read_opensfm
 from mocap.io.calibration.record import CalibrationFile, RawRig
 from mocap.io.units import AXES, METRES_PER_UNIT
@@ -25,9 +26,16 @@ _STORAGE_SUFFIXES = {".yml", ".yaml", ".xml"}
 _PICKLE_SUFFIXES = {".pickle", ".pkl"}
 _QUALISYS = ".qca.txt"
 _COLMAP_STEMS = {"cameras", "images"}
+
+
+def _read_cal(path: Path) -> RawRig:
+    return read_totalcapture(path) if is_totalcapture(path) else read_humaneva(path)
+
+
 _READERS: dict[str, Callable[[Path], RawRig]] = {
-    ".cal": read_humaneva,
+    ".cal": _read_cal,
     ".calib": read_biocv,
+    ".calibration": read_skeletool,
     ".xcp": read_vicon,
 }
 
@@ -40,8 +48,9 @@ def read_calibration(
     path : anipose, Pose2Sim, FreeMoCap or Caliscope TOML; EasyMocap intri.yml or extri.yml (or their folder);
     OpenCV FileStorage YAML, XML or JSON with camera_matrix, distortion and extrinsics, one camera per file (a
     folder of them makes a rig) or one map per camera; CMU Panoptic JSON; OpenCap's pickles (their folder; the pickle is
-    not run); HumanEva .cal and bioCV .calib (one camera per file, a folder makes a rig); Qualisys .qca.txt; Vicon .xcp;
-    a model of COLMAP (its folder) and reconstruction.json of OpenSfM.
+    not run); HumanEva .cal and bioCV .calib (one camera per file, a folder makes a rig); TotalCapture .cal;
+    MPI-INF-3DHP .calibration; Qualisys .qca.txt; Vicon .xcp; a model of COLMAP (its folder) and reconstruction.json of
+    OpenSfM.
     units : "m", "cm" or "mm" of the translations; overrides what the file says.
     up : axis of the file that points up, "z", "-y", ...; None = what the file or its format says, else z.
     check_world : False accepts a world whose floor is not at z = 0 (a file that is only to be converted).
@@ -84,8 +93,8 @@ def _read_file(path: Path) -> RawRig:
         f"calibration format {suffix or 'without suffix'} is not known",
         path=path,
         remedy="give .toml (anipose, Pose2Sim, FreeMoCap, Caliscope), .yml, .yaml, .xml or .json (OpenCV, "
-        "EasyMocap), .json (CMU Panoptic, OpenSfM), .pickle (OpenCap), .cal (HumanEva), .calib (bioCV), .qca.txt "
-        "(Qualisys), .xcp (Vicon) or the folder of a COLMAP model",
+        "EasyMocap), .json (CMU Panoptic, OpenSfM), .pickle (OpenCap), .cal (HumanEva, TotalCapture), .calib (bioCV), "
+        ".calibration (MPI-INF-3DHP), .qca.txt (Qualisys), .xcp (Vicon) or the folder of a COLMAP model",
     )
 
 

@@ -85,7 +85,7 @@ def bad(path: Path, message: str, *, camera: str | None = None, remedy: str = ""
     )
 
 
-def numbers(path: Path, camera: str, key: str, value: Any, shape: tuple[int, ...]) -> Array:
+def numbers(path: Path, camera: str | None, key: str, value: Any, shape: tuple[int, ...]) -> Array:
     """A table of finite numbers of this shape; column vectors and flat matrices are taken too."""
     try:
         found = np.array(value, dtype=np.float64)

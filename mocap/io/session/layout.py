@@ -60,8 +60,8 @@ def plan_layout(heap: SortedHeap, out: Path | None = None) -> Layout:
             path=root,
             remedy="go on with `mocap check`, or choose another -o",
         )
-    if not is_in_place and root.exists() and (not root.is_dir() or any(root.iterdir())):
-        raise MocapError("the folder is not empty", path=root, remedy="choose another folder with -o")
+    if not is_in_place:
+        check_is_new(root)
     names, notes = _names(heap)
     placed = []
     for role, clips in _by_role(heap).items():
@@ -79,6 +79,12 @@ def plan_layout(heap: SortedHeap, out: Path | None = None) -> Layout:
     if heap.calibration is not None and not is_in_place:
         calibration = heap.calibration, root / heap.calibration.name
     return Layout(root, tuple(placed), calibration, _text(heap, names), tuple(notes))
+
+
+def check_is_new(root: Path) -> None:
+    """MocapError unless a folder is empty or not there."""
+    if root.exists() and (not root.is_dir() or any(root.iterdir())):
+        raise MocapError("the folder is not empty", path=root, remedy="choose another folder with -o")
 
 
 def write_layout(layout: Layout, *, copies: bool = False) -> None:
