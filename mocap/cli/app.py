@@ -9,7 +9,21 @@ from typing import Annotated
 
 import typer
 
-from mocap.cli import calibrate, cluster, compare, depth, edit, init, join, live, run, sync, synth, tools
+from mocap.cli import (
+    calibrate,
+    cluster,
+    compare,
+    depth,
+    edit,
+    import_set,
+    init,
+    join,
+    live,
+    run,
+    sync,
+    synth,
+    tools,
+)
 from mocap.cli.interrupt import leave
 from mocap.errors import DISTRIBUTION, MocapError
 from mocap.portable import Stopped, find_kernel_cache, memory_limit_bytes, stoppable
@@ -42,6 +56,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     "To begin": {"demo": run.demo, "doctor": tools.doctor, "warm-up": tools.warm_up},
     "Before a run": {
         "init": init.init,
+        "import": import_set.import_set,
         "check": tools.check,
         "board": calibrate.board,
         "calibrate": calibrate.calibrate,

@@ -30,6 +30,7 @@ _EXTRAS = {
     "synth": ("embreex", "synthetic sessions and `mocap demo`"),
     "export": ("ezc3d", "C3D files and meshes of hulls"),
     "usd": ("pxr", "USD files"),
+    "sets": ("cdflib", "poses of Human3.6M"),
     "sound": ("av", "`mocap sync --by sound`"),
     "view": ("rerun", "scene.rrd and `mocap view`"),
     "open3d": ("open3d", "`mocap depth --what room` and `mocap calibrate --register`"),

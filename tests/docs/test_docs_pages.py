@@ -122,7 +122,8 @@ def test_bodies_have_the_columns_that_the_pages_say() -> None:
 
 def test_decisions_are_listed_and_numbered() -> None:
     notes = sorted(p.name for p in (DOCS / "decisions").glob("0*.md"))
-    assert [n[:4] for n in notes] == [f"{i + 1:04d}" for i in range(len(notes))]
+    # A note has its number when it is begun: others that are begun at the same time may come later, and leave gaps.
+    assert len({n[:4] for n in notes}) == len(notes)
     index = (DOCS / "decisions" / "README.md").read_text(encoding="utf-8")
     assert [n for n in notes if f"({n})" not in index] == []
     for note in notes:
