@@ -30,7 +30,7 @@ def test_a_recording_becomes_a_session(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["totalcapture", "{set}", "--take", "s1/acting2", "-o", "{out}"], "there is no recording s1/acting2: s1/acting1"),
+        (["totalcapture", "{set}", "--take", "s1/acting2", "-o", "{out}"], "no recording s1/acting2: s1/acting1"),
         (["totalcapture", "{none}", "-o", "{out}"], "no such folder"),
         (["human36m", "{set}", "-o", "{out}"], "holds no recording of Human3.6M"),
         (["humanevo", "{set}", "-o", "{out}"], "did you mean 'humaneva'?"),
