@@ -524,6 +524,26 @@ def _column_sums(plane, row, half, x, n, sums, p):
             sums[p, i] += plane[k, x + i]
 
 
+@njit(cache=True, nogil=True)
+def tell_apart(mask, dark, shadow, doubtful):
+    """shadow = 1 where it is dark beside the mask, doubtful = 1 where it is dark in it; pixels of mask and shadow.
+
+    All (h, w) uint8.  mask : 0 or 1.  dark : 0, SHADOW, or DOUBTFUL, which beside the mask is nothing.
+    """
+    n_mask, n_shadow = 0, 0
+    for y in range(mask.shape[0]):
+        m, d, s, o = mask[y], dark[y], shadow[y], doubtful[y]
+        for i in range(m.shape[0]):
+            s[i] = np.uint8((d[i] == SHADOW) & (m[i] == 0))
+        for i in range(m.shape[0]):
+            o[i] = np.uint8((d[i] > 0) & (m[i] != 0))
+        for i in range(m.shape[0]):
+            n_mask += m[i]
+        for i in range(m.shape[0]):
+            n_shadow += s[i]
+    return n_mask, n_shadow
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def trim_outline(foreground, core, beside, deep, core_far, beside_far, largest, half, share):
     """Take out of the foreground the pixels of its rim that lie nearer to their surroundings than to the inside.

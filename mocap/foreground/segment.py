@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 from typing import Any, NamedTuple
 
 import cv2
@@ -125,6 +125,7 @@ class ForegroundMask:
     doubtful : (H, W) bool, pixels of the mask that are so as well, and were kept for their surroundings' sake.
     foreground_share, shadow_share : shares of the picture.
     is_usable : False when the foreground fills so much of the picture that the background must be wrong.
+    box : u0, u1, v0, v1, inclusive, outside which there is neither; 0, -1, 0, -1 for nothing.
     """
 
     mask: Mask
@@ -133,6 +134,7 @@ class ForegroundMask:
     foreground_share: float
     shadow_share: float
     is_usable: bool
+    box: tuple[int, int, int, int]
 
 
 class _Window(NamedTuple):
@@ -235,17 +237,20 @@ class Segmenter:
             raw = self._subtractor.apply(image, learningRate=_OPENCV_RATE[self.settings.method])
             raw[self._outside != 0] = 0
             kept = clean_mask(raw == 255, self.settings)
-            return self._answer(kept.astype(np.uint8), (raw == 127).astype(np.uint8))
+            height, width = self.shape[:2]
+            whole = _Window(0, height, 0, width)
+            return self._answer(kept.astype(np.uint8), (raw == 127).astype(np.uint8), [whole])
         # The kernels are compiled for writable contiguous arrays; any other kind would be compiled anew.
         rows = np.require(image, requirements=("C", "W")).reshape(self.shape[0], -1)
         if self.settings.compensate_gain:
             rows = self._without_gain(rows)
             self._follow_noise(rows)
         shadow = np.zeros(self.shape[:2], dtype=np.uint8)
-        mask = self._joined([self._split(rows, window, shadow) for window in self._windows(rows)], shadow)
+        windows = self._windows(rows)
+        mask = self._joined([self._split(rows, window, shadow) for window in windows])
         if self.settings.adaptation > 0 or self.settings.hold_frames is not None:
             self._adapt(rows, protect)
-        return self._answer(mask, shadow)
+        return self._answer(mask, shadow, windows)
 
     def _check(self, image: Image, protect: Mask | None) -> None:
         """ValueError for pictures of another kind than the background."""
@@ -256,8 +261,8 @@ class Segmenter:
                 f"protect: expected bool of shape {self.shape[:2]}, got {protect.dtype} {protect.shape}"
             )
 
-    def _joined(self, pieces: list[tuple[_Window, Bytes, _Regions]], shadow: Bytes) -> Bytes:
-        """The mask (H, W) of all windows without small regions; no shadow is kept beyond their closer looks."""
+    def _joined(self, pieces: list[tuple[_Window, Bytes, _Regions]]) -> Bytes:
+        """The mask (H, W) of all windows without small regions."""
         mask = np.zeros(self.shape[:2], dtype=np.uint8)
         least = self.settings.min_area_px * _area_scale(self.shape)
         for _, _, regions in pieces:
@@ -272,13 +277,19 @@ class Segmenter:
             self._near[window.slices] |= cv2.dilate(found, _square(5))[:, :width]
         return mask
 
-    def _answer(self, mask: Bytes, dark: Bytes) -> ForegroundMask:
-        """dark : (H, W) uint8, SHADOW or DOUBTFUL; what is foreground is no shadow."""
-        share = cv2.countNonZero(mask) / mask.size
-        shadow, doubtful = (dark == _kernels.SHADOW) & (mask == 0), (dark > 0) & (mask != 0)
+    def _answer(self, mask: Bytes, dark: Bytes, windows: list[_Window]) -> ForegroundMask:
+        """dark : (H, W) uint8, SHADOW or DOUBTFUL; what is foreground is no shadow.  windows : with all of both."""
+        shadow, doubtful = np.zeros_like(mask), np.zeros_like(mask)
+        n_mask, n_shadow = 0, 0
+        for window in windows:
+            here = window.slices
+            n, m = _kernels.tell_apart(mask[here], dark[here], shadow[here], doubtful[here])
+            n_mask, n_shadow = n_mask + n, n_shadow + m
+        share = n_mask / mask.size
+        whole = reduce(_Window.joined, windows) if windows else _Window(0, 0, 0, 0)
         return ForegroundMask(
-            mask.view(np.bool_), shadow, doubtful, share, np.count_nonzero(shadow) / mask.size,
-            share <= self.settings.max_foreground_share,
+            mask.view(np.bool_), shadow.view(np.bool_), doubtful.view(np.bool_), share, n_shadow / mask.size,
+            share <= self.settings.max_foreground_share, (whole.x0, whole.x1 - 1, whole.y0, whole.y1 - 1),
         )  # fmt: skip
 
     def _without_gain(self, rows: Bytes) -> Bytes:

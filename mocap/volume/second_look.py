@@ -13,21 +13,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import Camera, CameraRig, VoxelGrid
+from mocap.data import CameraRig, VoxelGrid
+from mocap.volume import _second_look_kernels as kernels
 from mocap.volume.carve import Carver, pixels_of_points
 from mocap.volume.floor import floor_behind
-from mocap.volume.residuals import squares
+from mocap.volume.residuals import FOOTPRINT
 from mocap.volume.surface import surface_voxels
 
 Mask = NDArray[np.bool_]
 Array = NDArray[np.float64]
-Voxels = NDArray[np.int32]
+Pixels = NDArray[np.int32]
+Box = NDArray[np.int64]
 
 # With five cameras hulls that forgive two of them are so fat that shadows fall inside (room: IoU 0.952 to 0.948).
 LEAST_CAMERAS = 6
 _BLIND = 1  # cameras that may see nothing at all where a person is: a table stands before them
 _FLOOR_M = 0.06  # what lies lower is not told from a shadow on the floor
-_RIM_PX = 1  # of the drawn volume, which is up to a voxel too wide
 # At these heights over a contact shadow nobody is; from there on the volume of persons tells.
 _FEET_M = (0.04, 0.06, 0.08)
 # Nobody is where more than so many of the others see none. IoU with 1 and 2: walk 0.928 and 0.927, dev:cross 0.935 and
@@ -38,12 +39,14 @@ _LEAST_OTHERS = 4  # that have the floor in their pictures
 # Of the shadow within 15 x 15 pixels about one, what must lie inside the volume: a shadow on the floor reaches beyond.
 _MOSTLY, _AROUND_PX = 0.7, 15
 _REMAINS_PX = 5  # side of the square in which more than half of the mask must go for the rest to go with it
+# Pixels of a camera whose floor is kept, 112 bytes each with seven cameras: feet stay where they are for a while.
+_MOST_KEPT = 1 << 15
 
 
 class SecondLook:
     """The cameras of a rig on one grid, asked which shadows are none.
 
-    Not to be shared between threads. Raises ValueError for fewer than LEAST_CAMERAS cameras.
+    Not to be shared between threads: it holds work buffers. Raises ValueError for fewer than LEAST_CAMERAS cameras.
     """
 
     def __init__(self, rig: CameraRig, grid: VoxelGrid) -> None:
@@ -51,11 +54,29 @@ class SecondLook:
             raise ValueError(f"rig: expected at least {LEAST_CAMERAS} cameras, got {len(rig)}")
         self._rig, self._grid = rig, grid
         self._carver = Carver(rig, grid)
-        floor = _floor_of(grid)
-        self._floor = [_Places(camera, floor, pixels_of_points(camera, floor)) for camera in rig]
-        self._before_floor = [places.drawn(grid.voxel_size_m) for places in self._floor]
+        sizes = [camera.size[::-1] for camera in rig]
+        self._start = np.cumsum([1, *(h * w + 1 for h, w in sizes)])[:-1]
+        self._bits = np.zeros(sum(h * w + 1 for h, w in sizes), dtype=np.uint8)
+        self._bits[self._start - 1] = kernels.MASK
+        self._flat = np.split(self._bits, self._start[1:] - 1)
+        self._pictures = [flat[1:].reshape(size) for flat, size in zip(self._flat, sizes, strict=True)]
+        self._either = [np.zeros(size, dtype=np.bool_) for size in sizes]
+        self._boxes = np.tile(np.array([0, -1, 0, -1]), (len(rig), 1))
+        self._axes = np.array([[*camera.R[2], camera.t[2]] for camera in rig])
+        focal = np.array([max(camera.K[0, 0], camera.K[1, 1]) for camera in rig])
+        self._half_at_1m = 0.5 * FOOTPRINT * grid.voxel_size_m * focal
+        self._floor = _floor_of(grid)
+        self._floor_pixels = _seen_from(rig, self._floor)
+        self._draw(self._floor_pixels, self._floor, kernels.FLOOR)
+        self._feet = [_Feet(rig, grid, c) for c in range(len(rig))]
 
-    def masks(self, masks: Sequence[Mask], shadows: Sequence[Mask], doubtful: Sequence[Mask]) -> list[Mask]:
+    def masks(
+        self,
+        masks: Sequence[Mask],
+        shadows: Sequence[Mask],
+        doubtful: Sequence[Mask],
+        boxes: Sequence[tuple[int, int, int, int]] | None = None,
+    ) -> list[Mask]:
         """The masks of one instant, with what turned out to be no shadow, and without what turned out to be one.
 
         masks, shadows : (H, W) bool per camera, apart from each other. A shadow becomes foreground inside the volume
@@ -66,117 +87,134 @@ class SecondLook:
         doubtful : (H, W) bool per camera, what of the mask has a shadow's darkness and colour. It goes where it shows
         the floor at somebody's feet: outside that volume, where more than two of the others see nobody from 4 cm
         above the floor on, and no more than one sees the floor bare.
+
+        boxes : u0, u1, v0, v1, inclusive, of each camera: outside it has neither mask nor shadow; None = not known.
         """
-        person = self._drawn_person(masks, shadows)
-        floor = self._drawn_shadow(masks, shadows)
-        whole = [
-            mask | _mostly(shadow & there & ~lying, shadow)
-            for mask, shadow, there, lying in zip(masks, shadows, person, floor, strict=True)
+        for picture, box, either in zip(self._pictures, self._boxes, self._either, strict=True):
+            kernels.forget(box, picture, either)
+        known = [_box_of(*own) for own in zip(masks, shadows, strict=True)] if boxes is None else boxes
+        self._boxes[:] = known
+        within = self._boxes.copy()
+        asked = [
+            self._enter(c, box, *own)
+            for c, (box, *own) in enumerate(zip(within, masks, shadows, doubtful, strict=True))
         ]
-        seen = [mask | shadow for mask, shadow in zip(whole, shadows, strict=True)]
+        self._draw_person()
+        self._draw_shadow([len(shadow) > 0 for shadow, _ in asked])
+        for picture, (shadow, _) in zip(self._pictures, asked, strict=True):
+            kernels.shadows_of_persons(picture, shadow, _AROUND_PX // 2, _MOSTLY)
         return [
-            mask & ~self._contact_shadow(c, whole, seen, mask & doubt & ~there)
-            for c, (mask, doubt, there) in enumerate(zip(whole, doubtful, person, strict=True))
+            self._without_contact_shadow(c, box, doubt)
+            for c, (box, (_, doubt)) in enumerate(zip(within, asked, strict=True))
         ]
 
-    def _contact_shadow(self, c: int, masks: Sequence[Mask], seen: Sequence[Mask], asked: Mask) -> Mask:
-        """Which of the asked pixels (H, W) of a camera show the floor at somebody's feet, as the others see it.
+    def _enter(self, c: int, box: Box, mask: Mask, shadow: Mask, doubtful: Mask) -> tuple[Pixels, Pixels]:
+        """Take what a camera shows inside a box; the flat pixels of its shadows, and of what is doubtful."""
+        lists = np.empty((2, mask.size), dtype=np.int32)
+        n, m = kernels.enter_masks(
+            mask, shadow, doubtful, box, self._pictures[c], self._either[c], lists[0], lists[1]
+        )
+        return lists[0, :n], lists[1, :m]
 
-        seen : (H, W) bool per camera, mask or shadow.
-        """
-        pixels, floor = floor_behind(self._rig[c], self._grid, np.flatnonzero(asked))
-        n_bare, n_others = self._votes_against(c, floor, seen)
-        shows = (n_bare <= _BARE) & (n_others >= _LEAST_OTHERS)
-        pixels, floor = pixels[shows], floor[shows]
-        for height in _FEET_M:
-            eye = self._rig[c].center
-            above = floor + height / eye[2] * (eye - floor)
-            is_empty = self._votes_against(c, above, masks)[0] > _MISSING
-            pixels, floor = pixels[is_empty], floor[is_empty]
-        out = np.zeros_like(asked)
-        out.ravel()[pixels] = True
-        return _with_remains(out, masks[c])
+    def _without_contact_shadow(self, c: int, box: Box, doubtful: Pixels) -> Mask:
+        """The mask (H, W) of a camera without the floor at somebody's feet, as the others see it."""
+        picture = self._pictures[c]
+        mask = np.zeros(picture.shape, dtype=np.uint8)
+        kernels.copy_mask(picture, box, mask)
+        asked = np.empty(len(doubtful), dtype=np.int32)
+        asked = asked[: kernels.on_no_person(picture, doubtful, asked)]
+        is_shadow = np.empty(len(asked), dtype=np.bool_)
+        kernels.contact_shadows(
+            *self._feet[c].seen_by_others(asked), self._bits, self._start,
+            (_BARE, _LEAST_OTHERS, _MISSING), is_shadow,
+        )  # fmt: skip
+        kernels.remove(picture, asked, is_shadow, _REMAINS_PX // 2, mask)
+        return mask.view(np.bool_)
 
-    def _votes_against(
-        self, c: int, points: Array, masks: Sequence[Mask]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Numbers (N,) of other cameras that see a point (N, 3) m outside their mask, and that see it at all."""
-        n_against, n_seeing = np.zeros((2, len(points)), dtype=np.int64)
-        for k, (camera, mask) in enumerate(zip(self._rig, masks, strict=True)):
-            if k != c:
-                pixels = pixels_of_points(camera, points)
-                n_seeing += pixels >= 0
-                n_against += (pixels >= 0) & ~mask.ravel()[pixels]
-        return n_against, n_seeing
-
-    def _drawn_person(self, masks: Sequence[Mask], shadows: Sequence[Mask]) -> list[Mask]:
-        """Where each camera would see the volume that can be nothing but a person."""
-        either = [mask | shadow for mask, shadow in zip(masks, shadows, strict=True)]
-        voxels = self._carver.carve(either, n_faulty_views=_BLIND)
-        pixels = self._carver.pixels(voxels)
-        against = np.zeros(len(voxels), dtype=np.int64)
-        for c, mask in enumerate(masks):
-            against += (pixels[:, c] >= 0) & ~mask.ravel()[pixels[:, c]]
-        high = self._grid.centers(voxels)[:, 2] > _FLOOR_M
-        keep = high & (against <= (len(masks) - 1) // 2)
-        voxels, pixels = voxels[keep], pixels[keep]
+    def _draw_person(self) -> None:
+        """Draw the volume that can be nothing but a person, and what of it nobody speaks against."""
+        voxels = self._carver.carve(self._either, n_faulty_views=_BLIND)
+        points = self._grid.centers(voxels)
+        voxels, points = voxels[points[:, 2] > _FLOOR_M], points[points[:, 2] > _FLOOR_M]
+        pixels = _seen_from(self._rig, points)
+        against, clear = np.empty((2, len(voxels)), dtype=np.int64)
+        kernels.count_against(pixels, self._bits, self._start, kernels.MASK, against)
         # Before a wall nobody says whether a shadow lies there: then no camera may speak against the person.
-        clear = np.zeros(len(voxels), dtype=np.int64)
-        for c, mask in enumerate(either):
-            clear += (pixels[:, c] >= 0) & ~mask.ravel()[pixels[:, c]]
-        sure = self._drawn(voxels[clear == 0], pixels[clear == 0])
-        return [
-            some & (floor | all_agree)
-            for some, floor, all_agree in zip(
-                self._drawn(voxels, pixels), self._before_floor, sure, strict=True
+        kernels.count_against(pixels, self._bits, self._start, kernels.MASK | kernels.SHADOW, clear)
+        is_person = against <= (len(self._rig) - 1) // 2
+        for some, bit in ((is_person, kernels.VOLUME), (is_person & (clear == 0), kernels.SURE)):
+            outer = surface_voxels(voxels[some], self._grid)
+            self._draw(pixels[:, np.flatnonzero(some)[outer]], points[some][outer], bit)
+
+    def _draw_shadow(self, is_dark: Sequence[bool]) -> None:
+        """Draw for each camera what the others say is a shadow on the floor.  is_dark : cameras that see any shadow."""
+        dark = np.zeros(len(self._floor), dtype=np.int64)
+        for c, (pixels, picture) in enumerate(zip(self._floor_pixels, self._flat, strict=True)):
+            if is_dark[c]:
+                kernels.mark_shadows(pixels, picture, 1 << c, dark)
+        places, lying = np.empty(len(self._floor), dtype=np.int64), np.empty_like(self._floor_pixels)
+        n = kernels.lying_shadows(self._floor_pixels, self._bits, self._start, dark, places, lying)
+        self._draw(lying[:, :n], self._floor[places[:n]], kernels.LYING)
+
+    def _draw(self, pixels: NDArray[np.int32], points: Array, bit: np.uint8) -> None:
+        """Draw voxels around points (N, 3) m as each camera sees them.  pixels : (C, N) of the points."""
+        for c, picture in enumerate(self._pictures):
+            kernels.draw_cubes(
+                np.ascontiguousarray(pixels[c]),
+                points,
+                self._axes[c],
+                self._half_at_1m[c],
+                bit,
+                picture,
+                self._boxes[c],
             )
-        ]
-
-    def _drawn(self, voxels: Voxels, pixels: NDArray[np.int32]) -> list[Mask]:
-        """A volume as each camera would see it, without the rim.  pixels : (N, C) of its voxels."""
-        outer = surface_voxels(voxels, self._grid)
-        points, pixels = self._grid.centers(voxels[outer]), pixels[outer]
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _RIM_PX + 1,) * 2)
-        drawn = []
-        for c, camera in enumerate(self._rig):
-            there = _Places(camera, points, pixels[:, c]).drawn(self._grid.voxel_size_m)
-            drawn.append(cv2.erode(there.view(np.uint8), disc).view(np.bool_))
-        return drawn
-
-    def _drawn_shadow(self, masks: Sequence[Mask], shadows: Sequence[Mask]) -> list[Mask]:
-        """Where each camera would see what the others say is a shadow on the floor."""
-        dark = [
-            (floor.pixels >= 0) & shadow.ravel()[floor.pixels]
-            for shadow, floor in zip(shadows, self._floor, strict=True)
-        ]
-        some = np.flatnonzero(np.logical_or.reduce(dark))
-        dark = [one[some] for one in dark]
-        clear = [
-            (floor.pixels[some] >= 0) & ~mask.ravel()[floor.pixels[some]] & ~one
-            for mask, one, floor in zip(masks, dark, self._floor, strict=True)
-        ]
-        all_dark, all_clear = (np.sum(votes, axis=0, dtype=np.int64) for votes in (dark, clear))
-        drawn = []
-        for c, floor in enumerate(self._floor):
-            n_dark = all_dark - dark[c]
-            lies = (n_dark >= 1) & (n_dark >= all_clear - clear[c])
-            drawn.append(floor.drawn(self._grid.voxel_size_m, some[lies]))
-        return drawn
 
 
-class _Places:
-    """Points (N, 3) m as a camera sees them: their pixels, flat (N,) with -1 outside its picture, and depths."""
+class _Feet:
+    """What the other cameras see of the floor behind a camera's pixels, and of the places just above it.
 
-    def __init__(self, camera: Camera, points: Array, pixels: NDArray[np.int32]) -> None:
-        self.camera, self.pixels = camera, pixels
-        self._depth = points @ camera.R[2] + camera.t[2]
+    It does not change, so it is kept of every pixel that was asked for, up to a number.
+    """
 
-    def drawn(self, side_m: float, chosen: NDArray[np.int64] | slice = slice(None)) -> Mask:
-        """Cubes of that side about the chosen points, (H, W) bool."""
-        pixels, depth = self.pixels[chosen], self._depth[chosen]
-        v, u = np.divmod(pixels[pixels >= 0], self.camera.size[0])
-        uv = np.column_stack([u, v]).astype(np.float64)
-        return squares(self.camera, uv, depth[pixels >= 0], side_m)
+    def __init__(self, rig: CameraRig, grid: VoxelGrid, c: int) -> None:
+        self._rig, self._grid, self._c = rig, grid, c
+        self._row = np.full(rig[c].size[0] * rig[c].size[1], -1, dtype=np.int32)
+        self._seen = np.empty((_MOST_KEPT, 1 + len(_FEET_M), len(rig)), dtype=np.int32)
+        self._n_kept = 0
+
+    def seen_by_others(self, pixels: Pixels) -> tuple[Pixels, Pixels]:
+        """Rows (N,) of flat pixels, and for each row the pixels (K, C) of others that see the floor there and the K - 1
+        places above; -1 = none does, as where a pixel shows no floor.
+        """
+        new = pixels[self._row[pixels] < 0]
+        if self._n_kept + len(new) > len(self._seen):
+            self._row[:] = -1
+            self._n_kept, new = 0, pixels
+            if len(new) > len(self._seen):
+                self._seen = np.empty((len(new), *self._seen.shape[1:]), dtype=np.int32)
+        if len(new):
+            rows = slice(self._n_kept, self._n_kept + len(new))
+            self._row[new] = np.arange(rows.start, rows.stop)
+            self._n_kept = rows.stop
+            self._seen[rows] = -1
+            shown, floor = floor_behind(self._rig[self._c], self._grid, new.astype(np.int64))
+            eye = self._rig[self._c].center
+            places = np.concatenate([floor + height / eye[2] * (eye - floor) for height in (0.0, *_FEET_M)])
+            seen = _seen_from(self._rig, places).reshape(len(self._rig), 1 + len(_FEET_M), len(floor))
+            seen[self._c] = -1
+            self._seen[self._row[shown]] = seen.transpose(2, 1, 0)
+        return self._row[pixels], self._seen
+
+
+def _seen_from(rig: CameraRig, points: Array) -> Pixels:
+    """Flat pixels (C, N) of points (N, 3) m in all cameras; -1 outside the picture."""
+    return np.stack([pixels_of_points(camera, points) for camera in rig])
+
+
+def _box_of(mask: Mask, shadow: Mask) -> tuple[int, int, int, int]:
+    """u0, u1, v0, v1, inclusive, of what either holds; 0, -1, 0, -1 for nothing."""
+    u, v, w, h = cv2.boundingRect((mask | shadow).view(np.uint8))
+    return u, u + w - 1, v, v + h - 1
 
 
 def _floor_of(grid: VoxelGrid) -> Array:
@@ -185,41 +223,3 @@ def _floor_of(grid: VoxelGrid) -> Array:
     columns = np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2)
     xy = grid.origin[:2] + (columns + 0.5) * grid.voxel_size_m
     return np.column_stack([xy, np.zeros(len(xy))])
-
-
-def _mostly(found: Mask, shadow: Mask) -> Mask:
-    """The part of what was found that is most of the shadow about it."""
-    out = np.zeros_like(found)
-    window, some, whole = _about(found, shadow, _AROUND_PX)
-    out[window] = found[window] & (some >= _MOSTLY * whole)
-    return out
-
-
-def _with_remains(gone: Mask, mask: Mask) -> Mask:
-    """What goes of a mask, with what would be left of it between: where more than half of it goes, all does."""
-    out = gone.copy()
-    window, some, whole = _about(gone, mask, _REMAINS_PX)
-    out[window] |= mask[window] & (2 * some > whole)
-    return out
-
-
-def _about(
-    found: Mask, whole: Mask, side_px: int
-) -> tuple[tuple[slice, slice], NDArray[np.int16], NDArray[np.int16]]:
-    """The window within reach of what was found, and the pixels of either mask in a square about each of its pixels."""
-    x, y, w, h = cv2.boundingRect(found.view(np.uint8))
-    half = side_px // 2 if w else 0
-    window = slice(max(y - half, 0), y + h + half), slice(max(x - half, 0), x + w + half)
-    if w == 0:
-        return window, *np.zeros((2, 0, 0), dtype=np.int16)
-    counts = (
-        cv2.boxFilter(
-            mask[window].view(np.uint8),
-            cv2.CV_16S,
-            (side_px, side_px),
-            normalize=False,
-            borderType=cv2.BORDER_CONSTANT,
-        )
-        for mask in (found, whole)
-    )
-    return window, *counts

@@ -5,10 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from look_by_definition import LookByDefinition
 from test_occluders import on_floor, ring_rig, standing_silhouettes
 
 from mocap.data import VoxelGrid
-from mocap.volume import SecondLook
+from mocap.volume import SecondLook, second_look
 from mocap.volume.second_look import LEAST_CAMERAS
 
 AT = np.array([0.1, -0.2])
@@ -113,6 +114,51 @@ def test_where_others_see_the_floor_bare_nothing_goes(
     again = look.masks(masks, nothing(persons), at_feet)
     bare = np.count_nonzero(at_feet[0] & ~again[0])
     assert bare < 0.25 * np.count_nonzero(at_feet[0])
+
+
+def blots(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> np.ndarray:
+    """Random patches of some pixels."""
+    return cv2.blur(rng.random(shape), (9, 9)) > 0.5 + share
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_kernels_do_what_the_definition_says(look: SecondLook, seed: int) -> None:
+    """With torn masks, shadows on the floor and in the persons, and doubt everywhere."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-0.6, 0.6, (2, 2))
+    by_definition = LookByDefinition(ring_rig(), ROOM)
+    pairs = zip(*(standing_silhouettes(at) for at in places), strict=True)
+    persons = [a | b for a, b in pairs]
+    lying = [on_floor(i, places[0] + 0.3, 0.4) | on_floor(i, places[1], 0.25) for i in range(len(persons))]
+    torn = [blots(rng, p.shape, 0.08) for p in persons]
+    masks = [(p & ~t) | (f & blots(rng, f.shape, 0.0)) for p, t, f in zip(persons, torn, lying, strict=True)]
+    shadows = [
+        ((p & t) | f | blots(rng, f.shape, 0.1)) & ~m
+        for p, t, f, m in zip(persons, torn, lying, masks, strict=True)
+    ]
+    doubtful = [m & blots(rng, m.shape, -0.05) for m in masks]
+    found, expected = (one.masks(masks, shadows, doubtful) for one in (look, by_definition))
+    for ours, theirs in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert any((m & ~o).any() for m, o in zip(masks, found, strict=True))
+    assert any((s & o).any() for s, o in zip(shadows, found, strict=True))
+
+
+def test_boxes_and_room_for_feet_change_nothing(
+    look: SecondLook, persons: list[np.ndarray], at_feet: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The floor of more pixels than are kept is computed again."""
+    masks = [person | shadow for person, shadow in zip(persons, at_feet, strict=True)]
+    expected = look.masks(masks, nothing(persons), masks)
+    monkeypatch.setattr(second_look, "_MOST_KEPT", 50)
+    other = SecondLook(ring_rig(), ROOM)
+    boxes = []
+    for mask in masks:
+        (v0, u0), (v1, u1) = (f(np.argwhere(mask), axis=0) for f in (np.min, np.max))
+        boxes.append((max(int(u0) - 2, 0), int(u1), int(v0), int(v1)))
+    for _ in range(2):
+        for ours, theirs in zip(other.masks(masks, nothing(persons), masks, boxes), expected, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
 
 
 def test_an_empty_room_stays_empty(look: SecondLook, persons: list[np.ndarray]) -> None:

@@ -115,7 +115,10 @@ def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[R
         # of the rest would fill it.
         masks = [np.zeros_like(mask) for mask in masks]
     elif state.look is not None:
-        masks = state.look.masks(masks, [m.shadow for m in found], [m.doubtful for m in found])
+        shadows, doubtful, boxes = (
+            [getattr(m, part) for m in found] for part in ("shadow", "doubtful", "box")
+        )
+        masks = state.look.masks(masks, shadows, doubtful, boxes)
     return state, replace(seen, masks=masks), [Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))]
 
 
@@ -124,7 +127,7 @@ def _segmented(segmenter: Segmenter, picture: NDArray[np.uint8]) -> ForegroundMa
     if len(picture):
         return segmenter.segment(picture)
     nothing = np.zeros(segmenter.shape[:2], dtype=np.bool_)
-    return ForegroundMask(nothing, nothing, nothing, 0.0, 0.0, is_usable=False)
+    return ForegroundMask(nothing, nothing, nothing, 0.0, 0.0, is_usable=False, box=(0, -1, 0, -1))
 
 
 def _finish(state: _Segmenting) -> Ending:
