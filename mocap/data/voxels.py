@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.arrays import Array
+from mocap.data import _voxel_kernels
 
 Voxels = NDArray[np.int32]
 
@@ -57,11 +58,11 @@ class VoxelGrid:
 
     def subscripts(self, voxels: Voxels) -> NDArray[np.int32]:
         """(ix, iy, iz) of linear indices: (N,) -> (N, 3) int32."""
-        _, ny, nz = self.shape
-        v = np.asarray(voxels, dtype=np.int32)
-        ixy, iz = np.divmod(v, nz)
-        ix, iy = np.divmod(ixy, ny)
-        return np.column_stack([ix, iy, iz]).astype(np.int32)
+        # Read-only arrays would make the compiler build the kernel a second time.
+        v = np.require(voxels, np.int32, ("C", "W"))
+        out = np.empty((len(v), 3), dtype=np.int32)
+        _voxel_kernels.subscripts_of(v, self.shape[1], self.shape[2], out)
+        return out
 
     def linear(self, subscripts: NDArray[np.integer]) -> Voxels:
         """Linear indices of (N, 3) subscripts, which must lie inside the grid."""
@@ -71,7 +72,10 @@ class VoxelGrid:
 
     def centers(self, voxels: Voxels) -> Array:
         """Voxel centres, (N,) -> (N, 3) m, world."""
-        return self.origin + (self.subscripts(voxels) + 0.5) * self.voxel_size_m
+        v = np.require(voxels, np.int32, ("C", "W"))
+        out = np.empty((len(v), 3))
+        _voxel_kernels.centers_of(v, self.shape[1], self.shape[2], self.origin, self.voxel_size_m, out)
+        return out
 
     def voxels_of(self, points_world: Array) -> Voxels:
         """Linear indices (M,) of the voxels that hold the points (M, 3) m; -1 outside the grid or NaN."""

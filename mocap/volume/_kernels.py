@@ -341,3 +341,86 @@ def count_common(mask, silhouette, rect, counts):
             two += both >> 1
     counts[0] = one
     counts[1] = two
+
+
+@njit(cache=True, nogil=True)
+def ends_of_regions(mask, least_area, least_share, runs, ends):
+    """The first and last pixel of each row of a mask's large regions; returns the number of rows with any.
+
+    mask : (H, W) uint8 of 0 and 1; corners join regions. Large is `least_share` of the largest, which must have
+    `least_area` pixels.  runs : (at least the runs along rows, 4) int32, work.  ends : (H, 3) int32 out, row, column of
+    the first and of the last pixel.
+    """
+    n, before = 0, 0
+    for y in range(mask.shape[0]):
+        here = n
+        row = mask[y]
+        x = 0
+        while x < row.shape[0]:
+            if row[x] == 0:
+                x += 1
+                continue
+            start = x
+            while x < row.shape[0] and row[x] != 0:
+                x += 1
+            runs[n, 0], runs[n, 1], runs[n, 2], runs[n, 3] = y, start, x, n
+            n += 1
+        # Two runs of neighbouring rows touch when neither ends before the other begins.
+        i = before
+        while i < here and runs[i, 0] < y - 1:
+            i += 1
+        for j in range(here, n):
+            while i < here and runs[i, 2] < runs[j, 1]:
+                i += 1
+            k = i
+            while k < here and runs[k, 1] <= runs[j, 2]:
+                a, b = k, j
+                while runs[a, 3] != a:
+                    a = runs[a, 3]
+                while runs[b, 3] != b:
+                    b = runs[b, 3]
+                runs[max(a, b), 3] = min(a, b)
+                k += 1
+        before = here
+    area = np.zeros(n, dtype=np.int64)
+    largest = 0
+    for i in range(n):
+        runs[i, 3] = runs[runs[i, 3], 3]  # roots come first, so that theirs is final
+        area[runs[i, 3]] += runs[i, 2] - runs[i, 1]
+    for i in range(n):
+        largest = max(largest, area[i])
+    if n == 0 or largest < least_area:
+        return 0
+    m = 0
+    for i in range(n):
+        if area[runs[i, 3]] < least_share * largest:
+            continue
+        if m == 0 or ends[m - 1, 0] != runs[i, 0]:
+            ends[m, 0], ends[m, 1] = runs[i, 0], runs[i, 1]
+            m += 1
+        ends[m - 1, 2] = runs[i, 2] - 1
+    return m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def clearance_of_points(uv, depth, is_hidden, inside, focal, out):
+    """How far points lie inside a mask, m, into out (N,) float32; inf where the camera does not judge them.
+
+    uv : (N, 2) px, NaN = not seen.  depth : (N,) m.  is_hidden : (N,) bool.  inside : (H, W) float32 px, between whose
+    pixels values are taken; inf and NaN there do not judge.  focal : px.
+    """
+    height, width = inside.shape
+    for i in range(uv.shape[0]):
+        u, v = uv[i, 0], uv[i, 1]
+        out[i] = np.inf
+        if is_hidden[i] or not (u >= -0.5 and u < width - 0.5 and v >= -0.5 and v < height - 0.5):
+            continue
+        u = np.float64(min(max(np.float32(u), np.float32(0)), np.float32(width - 1)))
+        v = np.float64(min(max(np.float32(v), np.float32(0)), np.float32(height - 1)))
+        x, y = min(int(u), width - 2), min(int(v), height - 2)
+        a, b = u - x, v - y
+        top = inside[y, x] * (1 - a) + inside[y, x + 1] * a
+        bottom = inside[y + 1, x] * (1 - a) + inside[y + 1, x + 1] * a
+        px = np.float32(top * (1 - b) + bottom * b)
+        if not math.isnan(px):
+            out[i] = np.float32(np.float64(px) * depth[i] / focal)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from mocap.data import Camera, CameraRig, Occluders
+from mocap.volume import _kernels
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +33,7 @@ _DONE_M = 0.0005  # a correction that moves lines of sight by less is the last
 _MIN_CHAIN = 24  # pixels around a region that is large enough to be somebody
 _EDGE_PX = 3  # distance from the edge of the picture
 _NORMAL_PX = 1.5  # over which the direction of an outline is smoothed
+_BLUR_PX = 8  # that it reaches over
 _MIN_AGREEING = 3  # cameras; two agree about next to everything
 _MANY = 6  # of fewer cameras, outlines that one more is missing for are all that there are
 # Movements of a camera that are fitted: in its own axes (x right, y down, z forward) shifts along x, y, z, then
@@ -459,28 +461,13 @@ def _clearance(
 ) -> NDArray[np.float32]:
     """How far points (N, 3) m lie inside the mask of a camera, (N,) m, inf where it does not judge."""
     uv, depth = camera.project(points)
-    is_seen = camera.contains(uv)
-    if occluders is not None:
-        is_seen &= ~occluders.hides(camera, points)
-    out = np.full(len(points), np.inf, dtype=np.float32)
-    with np.errstate(invalid="ignore"):
-        pixels = np.nan_to_num(
-            _interpolated(inside, uv[is_seen].astype(np.float32)), nan=np.inf, posinf=np.inf
-        )
-    out[is_seen] = pixels * depth[is_seen] / (0.5 * (camera.K[0, 0] + camera.K[1, 1]))
+    is_hidden = (
+        np.zeros(len(points), dtype=np.bool_) if occluders is None else occluders.hides(camera, points)
+    )
+    out = np.empty(len(points), dtype=np.float32)
+    focal = float(0.5 * (camera.K[0, 0] + camera.K[1, 1]))
+    _kernels.clearance_of_points(uv, depth, is_hidden, inside, focal, out)
     return out
-
-
-def _interpolated(picture: NDArray[np.float32], uv: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Values of a picture between its pixels, (N,)."""
-    u = np.clip(uv[:, 0], 0, picture.shape[1] - 1)
-    v = np.clip(uv[:, 1], 0, picture.shape[0] - 1)
-    u0 = np.minimum(u.astype(np.int64), picture.shape[1] - 2)
-    v0 = np.minimum(v.astype(np.int64), picture.shape[0] - 2)
-    a, b = u - u0, v - v0
-    top = picture[v0, u0] * (1 - a) + picture[v0, u0 + 1] * a
-    bottom = picture[v0 + 1, u0] * (1 - a) + picture[v0 + 1, u0 + 1] * a
-    return np.asarray(top * (1 - b) + bottom * b, dtype=np.float32)
 
 
 def _depth_inside(mask: Mask) -> NDArray[np.float32] | None:
@@ -488,9 +475,19 @@ def _depth_inside(mask: Mask) -> NDArray[np.float32] | None:
     if not mask.any():
         return None
     own = mask.astype(np.uint8)
-    within = cv2.distanceTransform(own, cv2.DIST_L2, 3)
-    without = cv2.distanceTransform(1 - own, cv2.DIST_L2, 3)
-    return np.asarray(np.where(mask, within - 0.5, 0.5 - without), dtype=np.float32)
+    distance = cv2.distanceTransform(1 - own, cv2.DIST_L2, 3)
+    np.subtract(np.float32(0.5), distance, out=distance)
+    # Nothing outside of a mask's rectangle and its rim is nearer to what is inside.
+    here = _rectangle_of(own, 1)
+    within = cv2.distanceTransform(own[here], cv2.DIST_L2, 3)
+    np.copyto(distance[here], within - np.float32(0.5), where=mask[here])
+    return np.asarray(distance, dtype=np.float32)
+
+
+def _rectangle_of(mask: NDArray[np.uint8], margin: int) -> tuple[slice, slice]:
+    """Rows and columns of what a mask (H, W) holds, with a margin."""
+    u, v, w, h = cv2.boundingRect(mask)
+    return slice(max(v - margin, 0), v + h + margin), slice(max(u - margin, 0), u + w + margin)
 
 
 def _outline(
@@ -500,7 +497,8 @@ def _outline(
 
     What lies at the edge of the picture, or of something that stands before the person, is no outline of the person.
     """
-    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    own = mask.astype(np.uint8)
+    contours, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     chains = [chain[:, 0] for chain in contours if len(chain) >= _MIN_CHAIN]
     if not chains:
         return np.zeros((0, 2)), np.zeros((0, 2))
@@ -513,9 +511,10 @@ def _outline(
         is_inner &= near[at[:, 1], at[:, 0]] == 0
     at = at[is_inner]
     at = at[:: max(1, len(at) // n_points)]
-    smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _NORMAL_PX)
+    here = _rectangle_of(own, _BLUR_PX)
+    smooth = cv2.GaussianBlur(own[here].astype(np.float32), (0, 0), _NORMAL_PX)
     slope = np.stack([cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)], axis=-1)
-    normal = -slope[at[:, 1], at[:, 0]].astype(np.float64)
+    normal = -slope[at[:, 1] - here[0].start, at[:, 0] - here[1].start].astype(np.float64)
     length = np.linalg.norm(normal, axis=1)
     normal = normal[length > 1e-3] / length[length > 1e-3, None]
     # The outline runs between the last pixel inside and the first outside.

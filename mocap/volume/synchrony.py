@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from mocap.data import Camera, CameraRig
+from mocap.volume import _kernels
 
 Array = NDArray[np.float64]
 
@@ -122,22 +123,17 @@ class Synchrony:
 
 def silhouette_hull(mask: NDArray[np.bool_]) -> Array:
     """Corners (P, 2) px of the convex hull of the large regions of a mask (H, W); (0, 2) when there is none."""
-    x, y, w, h = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
-    seen = np.ascontiguousarray(mask[y : y + h, x : x + w]).view(np.uint8)
-    if seen.size == 0:
-        return np.zeros((0, 2))
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(seen, connectivity=8)
-    areas = stats[:, cv2.CC_STAT_AREA].copy()
-    areas[0] = 0  # what is no mask
-    if areas.max() < _LEAST_AREA * mask.size:
+    bits = np.ascontiguousarray(mask).view(np.uint8)
+    x, y, w, h = cv2.boundingRect(bits)
+    seen = bits[y : y + h, x : x + w]
+    runs, ends = np.empty((h * (w // 2 + 1), 4), dtype=np.int32), np.empty((h, 3), dtype=np.int32)
+    n = _kernels.ends_of_regions(seen, _LEAST_AREA * mask.size, _LEAST_SHARE, runs, ends)
+    if n == 0:
         return np.zeros((0, 2))
     # The ends of rows are enough for the hull.
-    kept = (areas >= _LEAST_SHARE * areas.max())[labels]
-    rows = np.flatnonzero(kept.any(axis=1))
-    left = kept[rows].argmax(axis=1)
-    right = kept.shape[1] - 1 - kept[rows, ::-1].argmax(axis=1)
-    ends = np.concatenate([np.column_stack([left, rows]), np.column_stack([right, rows])])
-    corners = cv2.convexHull((ends + np.array([x, y])).astype(np.float32))
+    rows, left, right = ends[:n].T
+    at_ends = np.concatenate([np.column_stack([left, rows]), np.column_stack([right, rows])])
+    corners = cv2.convexHull((at_ends + np.array([x, y])).astype(np.float32))
     return np.asarray(corners.reshape(-1, 2), dtype=np.float64)
 
 

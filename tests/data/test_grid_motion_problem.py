@@ -17,6 +17,14 @@ def test_linear_index_is_c_order() -> None:
     assert GRID.linear(subs).dtype == np.int32
 
 
+def test_subscripts_and_centers_are_those_of_numpy() -> None:
+    voxels = np.random.default_rng(2).integers(0, GRID.n_voxels, 50).astype(np.int32)
+    expected = np.column_stack(np.unravel_index(voxels, GRID.shape))
+    np.testing.assert_array_equal(GRID.subscripts(voxels), expected)
+    np.testing.assert_array_equal(GRID.centers(voxels), GRID.origin + (expected + 0.5) * GRID.voxel_size_m)
+    assert GRID.centers(voxels[:0]).shape == GRID.subscripts(voxels[:0]).shape == (0, 3)
+
+
 def test_subscripts_linear_centers_and_voxels_of_round_trip() -> None:
     every = np.arange(GRID.n_voxels, dtype=np.int32)
     np.testing.assert_array_equal(GRID.linear(GRID.subscripts(every)), every)

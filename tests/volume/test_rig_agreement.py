@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from eval.bench.scene import person_mask, ring
 from mocap.data import Camera, CameraRig, VoxelGrid
 from mocap.volume import CameraFault, ConsistencyMonitor, find_misfits
+from mocap.volume import _kernels as kernels
 from mocap.volume.rig_agreement import AgreementSettings, MaskSample, _clearance, rig_agreement
 
 C, SIZE, N = 7, (320, 240), 6
@@ -200,3 +201,25 @@ def test_the_monitor_keeps_few_whole_masks_and_where_the_people_are() -> None:
     np.testing.assert_array_equal(kept[0].masks[3], masks[3])
     true = samples()[0].places
     assert np.abs(kept[0].places.min(axis=0) - true.min(axis=0)).max() < 0.5
+
+
+def test_clearance_is_taken_between_pixels() -> None:
+    """Against numpy: outside the picture, behind things, beside what is unknown, and at the edge."""
+    rng = np.random.default_rng(7)
+    inside = rng.normal(0.0, 9.0, (24, 32)).astype(np.float32)
+    inside[3:7, 4:9] = np.inf
+    uv = rng.uniform([-2.0, -2.0], [33.0, 25.0], (500, 2))
+    uv[::50] = np.nan
+    depth, is_hidden = rng.uniform(1.0, 6.0, 500), rng.random(500) < 0.1
+    found = np.empty(500, dtype=np.float32)
+    kernels.clearance_of_points(uv, depth, is_hidden, inside, 400.0, found)
+    u, v = np.clip(np.nan_to_num(uv), 0, [31, 23]).T
+    u0, v0 = np.minimum(u.astype(int), 30), np.minimum(v.astype(int), 22)
+    a, b = u - u0, v - v0
+    with np.errstate(invalid="ignore"):
+        top = inside[v0, u0] * (1 - a) + inside[v0, u0 + 1] * a
+        px = top * (1 - b) + (inside[v0 + 1, u0] * (1 - a) + inside[v0 + 1, u0 + 1] * a) * b
+    is_in = (np.abs(uv - [15.5, 11.5]) < [16, 12]).all(axis=1)
+    expected = np.where(is_in & ~is_hidden & ~np.isnan(px), px * depth / 400.0, np.inf)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)  # pixels are rounded to 32 bits
+    assert 200 < np.isfinite(found).sum() < 450

@@ -150,3 +150,23 @@ def test_hull_of_a_mask_leaves_specks_out() -> None:
 def test_as_many_silhouettes_as_cameras() -> None:
     with pytest.raises(ValueError, match="2 silhouettes for 5 cameras"):
         synchronise(RIG, film(np.zeros(C), np.zeros(C), n=5)[:2])
+
+
+def hull_by_definition(mask: np.ndarray) -> set[tuple[float, ...]]:
+    """Corners of the convex hull of all pixels in regions of a tenth of the largest."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    areas = stats[:, cv2.CC_STAT_AREA].copy()
+    areas[0] = 0
+    if areas.max() < 2e-4 * mask.size:
+        return set()
+    v, u = np.nonzero((areas >= 0.1 * areas.max())[labels])
+    return set(map(tuple, cv2.convexHull(np.column_stack([u, v]).astype(np.float32)).reshape(-1, 2).tolist()))
+
+
+@pytest.mark.parametrize("blur", [1, 2, 3, 5, 9])
+def test_silhouette_hulls_are_those_of_the_large_regions(blur: int) -> None:
+    """From speckles of single pixels to blots, with a mask of nothing and a full one."""
+    rng = np.random.default_rng(blur)
+    masks = [cv2.blur(rng.random((41, 56)), (blur, blur)) > share for share in (0.45, 0.5, 0.6, 0.95, 0.0)]
+    for mask in [*masks, np.zeros((41, 56), dtype=np.bool_)]:
+        assert set(map(tuple, silhouette_hull(mask).tolist())) == hull_by_definition(mask)
