@@ -29,6 +29,8 @@ class RefineSettings:
     n_iterations: int = 12
     tolerance: float = 1e-4
     """Relative decrease of the cost below which the refinement stops."""
+    reach: float = 1.0
+    """Factor on every step: those of reweighted least squares fall short where the loss bends away from the squares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,7 @@ def refine(problem: ResidualProblem, state: Array, settings: RefineSettings) -> 
         else:
             step = np.zeros_like(x)
             step[free] = -np.linalg.solve(A[free][:, free], g[free])
-        candidate = np.clip(x + step, layout.lower, layout.upper)
+        candidate = np.clip(x + settings.reach * step, layout.lower, layout.upper)
         new_cost, new_H, new_g = evaluate(candidate)
         if new_cost < cost:
             gain = (cost - new_cost) / max(cost, 1e-300)

@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import shutil
+import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -348,8 +349,16 @@ def _write_list(folder: Path) -> None:
     (folder / _LIST).write_text(json.dumps(document), encoding="utf-8")
 
 
+class _Held(threading.local):
+    """The chunk that a thread has decompressed last, by its number; -1 = none yet."""
+
+    chunk: int = -1
+    rows: NDArray[Any]
+
+
 class _ColumnReader:
-    """Rows by frame; the chunk decompressed last is kept, because frames are mostly read in order."""
+    """Rows by frame; the chunk decompressed last is kept, because frames are mostly read in order: by every thread its
+    own, since two that go through a clip in two directions are in different ones."""
 
     def __init__(self, group: Any, name: str, files: _Files, n_frames: int) -> None:
         self._data = group["data"]
@@ -365,22 +374,21 @@ class _ColumnReader:
         ):
             raise ValueError(f"{name}: rows of frames do not follow each other")
         self._chunk_rows = int(self._data.chunks[0])
-        self._chunk = -1
-        self._rows: NDArray[Any] = np.empty((0, *self._data.shape[1:]), dtype=self._data.dtype)
+        self._held = _Held()
 
     def read(self, i: int) -> NDArray[Any]:
         start, stop = int(self._offsets[i]), int(self._offsets[i + 1])
         if start == stop:
             return np.empty((0, *self._data.shape[1:]), dtype=self._data.dtype)
-        parts = []
+        parts, held = [], self._held
         for chunk in range(start // self._chunk_rows, (stop - 1) // self._chunk_rows + 1):
             begin = chunk * self._chunk_rows
-            if chunk != self._chunk:
+            if chunk != held.chunk:
                 # Checked before it is decoded: a decoder may do anything with bytes that were never encoded.
                 self._files.check([self._chunk_name.format(chunk)])
-                self._rows = np.asarray(self._data[begin : begin + self._chunk_rows])
-                self._chunk = chunk
-            parts.append(self._rows[max(0, start - begin) : stop - begin])
+                held.rows = np.asarray(self._data[begin : begin + self._chunk_rows])
+                held.chunk = chunk
+            parts.append(held.rows[max(0, start - begin) : stop - begin])
         # Always a copy, so that nobody's changes reach the next reader of this frame.
         return np.concatenate(parts)
 

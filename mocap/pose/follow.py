@@ -26,7 +26,7 @@ from mocap.pose.restart import FallenEvidence, restarted_pose
 from mocap.pose.start import FirstPose, PoseSearch, settle_first_poses, try_first_poses, walking_velocity
 from mocap.profiling import part
 from mocap.rng import rng_for
-from mocap.threads import worker_threads
+from mocap.threads import in_parallel, worker_threads
 
 Array = NDArray[np.float64]
 T_co = TypeVar("T_co", covariant=True)
@@ -194,17 +194,34 @@ def follow_pose(
 
 
 def follow_both_ways(
-    clip: PersonClip, first: FirstPose, *, seed: int, progress: Callable[[int], None] | None = None
-) -> Iterator[FramePose]:
-    """Every frame of a clip once, from the first pose to the end and back to the beginning: `follow_pose`."""
+    clip: PersonClip, first: FirstPose, *, seed: int, take: Callable[[FramePose], None]
+) -> tuple[PersonClip, PersonClip]:
+    """Every frame of a clip once, from the first pose to the end and back to the beginning, as `follow_pose`: both ways
+    side by side where there are threads.
+
+    take : given every pose once, in the order of its way; of both ways at a time.  Returns the clip as each of them has
+    left it, the way to the end first: what was learnt on a way stays there.
+    """
+    n_threads = clip.observation.tools.n_threads
     start = int(np.searchsorted(clip.frames, first.frame))
-    for way, order in both_ways(len(clip), start):
-        for pose in follow_pose(clip, order, first.state, seed=seed, stage=f"pose{way}"):
-            if way and pose.row == start:
-                continue  # the start was settled on the way forward
-            yield pose
-            if progress is not None:
-                progress(1)
+    later, earlier = (_on_threads(clip, max(1, n_threads // 2)) for _ in range(2))
+    ways = [(own, *way) for own, way in zip((later, earlier), both_ways(len(clip), start), strict=True)]
+
+    def follow_way(way: tuple[PersonClip, str, range]) -> None:
+        own, name, order = way
+        for pose in follow_pose(own, order, first.state, seed=seed, stage=f"pose{name}"):
+            if own is later or pose.row != start:  # the start is settled on the way to the end
+                take(pose)
+
+    in_parallel(follow_way, ways, n_threads)
+    return later, earlier
+
+
+def _on_threads(clip: PersonClip, n_threads: int) -> PersonClip:
+    """The same clip for somebody who follows it on so many threads: what its observation learns is his own."""
+    observation: Any = clip.observation  # a data class, whatever it observes
+    tools = replace(observation.tools, n_threads=n_threads)
+    return replace(clip, observation=replace(observation, tools=tools))
 
 
 def note(series: FrameSeries, row: int, pose: FramePose, tools: PersonTools) -> None:

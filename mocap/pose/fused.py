@@ -90,19 +90,15 @@ class FusedEvidence(VolumeEvidence):
         """
         if self.keypoints is None or not len(states):
             return super().all_refined(states, n_iterations)
-        numbers = self.tools.settings.method.evidence
-        n = numbers.refine_iterations if n_iterations is None else n_iterations
-        return [self._refined(state, n) for state in states]
+        settings = self.tools.refining(n_iterations)
+        return [self._refined(state, settings) for state in states]
 
-    def _refined(self, state: Array, n_iterations: int) -> Array:
+    def _refined(self, state: Array, settings: RefineSettings) -> Array:
         assert self.keypoints is not None
-        numbers, prior_std = self.tools.settings.method.keypoints, self.tools.prior_std
-        settings = RefineSettings(prior_std, n_iterations=n_iterations)
+        numbers = self.tools.settings.method.keypoints
         near, _ = refine(self._both, state, settings)
         wide = replace(self.keypoints, settings=replace(self.keypoints.settings, scale=numbers.wide_scale))
-        pulled, _ = refine(
-            wide, near, RefineSettings(prior_std, residual_std_m=1.0, n_iterations=n_iterations)
-        )
+        pulled, _ = refine(wide, near, replace(settings, residual_std_m=1.0))
         landmarks = landmarks_of(self.tools.body, np.stack([near, pulled]))
         if np.linalg.norm(landmarks[0] - landmarks[1], axis=1).max() < numbers.elsewhere_m:
             return near

@@ -111,7 +111,7 @@ class KeypointEvidence:
 
     def all_refined(self, states: Sequence[Array], n_iterations: int | None = None) -> list[Array]:
         """Each of several states (D,) refined: with a wide robust cost, then with the usual one."""
-        n = self.tools.settings.method.evidence.refine_iterations if n_iterations is None else n_iterations
+        n = self.tools.numbers.n_iterations if n_iterations is None else n_iterations
         settings = RefineSettings(self.tools.prior_std, residual_std_m=1.0, n_iterations=n)
         wide = self.tools.problem(self.views, self.tools.numbers.wide_scale)
         out = []
@@ -122,7 +122,7 @@ class KeypointEvidence:
 
     def refined_with(self, state: Array, other: ResidualProblem) -> Array:
         """A state (D,) moved to a nearby minimum of the keypoints' cost and of another one, nats."""
-        n = self.tools.settings.method.evidence.refine_iterations
+        n = self.tools.numbers.n_iterations
         both = SumProblem(((self.search.settings.worth, self.search), (1.0, other)))
         return refine(both, state, RefineSettings(self.tools.prior_std, residual_std_m=1.0, n_iterations=n))[
             0

@@ -18,7 +18,7 @@ from mocap.filters.smoother import smooth_states
 from mocap.likelihood.markers import BundleSettings, bundle
 from mocap.pose.deviation import FrameSeries, within_limits
 from mocap.pose.evidence import PersonClip, PersonTools
-from mocap.pose.follow import follow_both_ways, follow_pose, note, unbroken
+from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, unbroken
 from mocap.pose.keypoint import KeypointObservation, KeypointTools, ViewsOf, points_of
 from mocap.pose.result import FollowedPerson, PersonPoses
 from mocap.pose.start import FirstPose, PoseSearch, settle_first_poses, try_first_poses
@@ -81,9 +81,14 @@ def follow_keypoints(
     clip = seen.clip(tools)
     series, n = FrameSeries.of_length(len(clip), tools.body), tools.body.layout.n_columns
     information = np.zeros((len(clip), n, n))
-    for pose in follow_both_ways(clip, first, seed=seed, progress=progress):
+
+    def take(pose: FramePose) -> None:
         note(series, pose.row, pose, tools)
         information[pose.row] = pose.information
+        if progress is not None:
+            progress(1)
+
+    follow_both_ways(clip, first, seed=seed, take=take)
     return FollowedPerson(
         person=seen.person,
         tools=tools,

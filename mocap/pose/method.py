@@ -48,8 +48,11 @@ class EvidenceSettings(_Strict):
     """How far the root may be expected to move in a refinement."""
     refine_std_rad: float = 0.5
     """How far a joint may be expected to turn in a refinement."""
-    refine_iterations: int = 12
+    refine_iterations: int = 7
     """Most iterations of a refinement."""
+    refine_reach: float = 1.6
+    """Factor on its steps: hull and outlines pull by a loss that bends away from the squares, and plain steps come two
+    thirds of the way. Six of these come as near as ten (`dev:walk`, `dev:reach`)."""
     coarse_hull_points: int = 400
     """Points of the hull in the brief attempts of a start."""
     coarse_flesh_points: int = 150
@@ -70,8 +73,9 @@ class EvidenceSettings(_Strict):
 class StartSettings(_Strict):
     """The first pose of a person: many kinds of poses in all directions, the promising ones followed."""
 
-    window_s: float = 2.0
-    """Seconds from the first usable frame in which the first pose is looked for."""
+    middle_share: float = 1 / 3
+    """Of a person's frames, those in the middle, in which the first pose is looked for: from there a clip is followed to
+    both ends side by side."""
     n_directions: int = 16
     """Directions that each kind of pose is tried in."""
     n_copies: int = 8
@@ -630,6 +634,8 @@ class KeypointPoseSettings(_Strict):
     """Error, in standard deviations, at which a view's keypoint loses three quarters of its pull (Geman-McClure)."""
     wide_scale: float = 15.0
     """The same for poses that may be far off."""
+    n_iterations: int = 12
+    """Most iterations of a refinement on keypoints alone."""
     min_points: int = 5
     """Keypoints that two views must see: fewer are no body, the pose is carried on instead."""
     near_landmark_m: float = 0.12

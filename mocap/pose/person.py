@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate
 from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
-from mocap.pose.evidence import PersonClip
-from mocap.pose.follow import follow_both_ways, follow_pose, note, unbroken
+from mocap.pose.evidence import FrameEvidence, Observation, PersonClip
+from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, unbroken
 from mocap.pose.limbs import in_doubt
 from mocap.pose.repair import EvidenceOf, repair_limbs
 from mocap.pose.result import FollowedPerson, PersonPoses, warnings_of_volumes
@@ -106,13 +106,12 @@ def _search_at(clip: VolumeClip, row: int) -> PoseSearch:
 def _most_promising(
     clip: VolumeClip, usable: Sequence[int], *, seed: int
 ) -> tuple[PoseSearch, list[FirstPose]]:
-    """The frame of the first seconds in which a first pose promises most, with the poses tried there."""
-    settings, fps = clip.observation.tools.settings, clip.observation.tools.fps
-    reach = settings.method.start.window_s * fps
-    window = [i for i in usable if clip.frames[i] - clip.frames[usable[0]] <= reach]
-    picks = np.unique(np.linspace(0, len(window) - 1, settings.n_start_frames).astype(int))
+    """The frame in the middle of the clip in which a first pose promises most, with the poses tried there."""
+    settings, last = clip.observation.tools.settings, len(usable) - 1
+    reach = 0.5 * settings.method.start.middle_share * last
+    picks = np.unique(np.round(np.linspace(0.5 * last - reach, 0.5 * last + reach, settings.n_start_frames)))
     searches = []
-    for i in (window[p] for p in picks):
+    for i in (usable[p] for p in picks.astype(int)):
         search = _search_at(clip, i)
         rng = rng_for(seed, "first-pose", clip.person, search.frame)
         searches.append((search, try_first_poses(search, rng=rng)))
@@ -177,8 +176,8 @@ def follow_frames(
     """One person over the frames of its track, followed and repaired.
 
     clip : the person's track and hulls, with a body of the given height in its tools.
-    The first pose is looked for in a few frames of the first two seconds; the filter runs from the best of them to
-    the end, and back to the beginning.
+    The first pose is looked for in a few frames in the middle; the filter runs from the best of them to the end, and back
+    to the beginning.
     is_size_fitted : `height` is only the highest place of the head; the size is fitted to some frames around the first
     pose, and the height changes with it.
     Raises ValueError when no frame has a usable hull.
@@ -191,9 +190,6 @@ def follow_frames(
         observation = observation.learning()
     clip = replace(clip, observation=observation)
     series = _followed(clip, start.first, seed=seed, progress=progress)
-    if settings.repair and settings.refine:
-        with part("repair"):
-            _repair(clip, series)
     trial, numbers = start.trial, settings.method.start
     return FollowedPerson(
         person=clip.person,
@@ -248,25 +244,37 @@ def finish_person(followed: FollowedPerson) -> PersonPoses:
 def _followed(
     clip: VolumeClip, first: FirstPose, *, seed: int, progress: Callable[[int], None] | None
 ) -> FrameSeries:
-    """The poses of all frames, from the first one to the end and back to the beginning."""
+    """The poses of all frames, from the first one to the end and back to the beginning, and repaired where that is set."""
     tools = clip.observation.tools
     series = FrameSeries.of_length(len(clip), tools.body)
-    for pose in follow_both_ways(clip, first, seed=seed, progress=progress):
+
+    def take(pose: FramePose) -> None:
         note(series, pose.row, pose, tools)
+        if progress is not None:
+            progress(1)
+
+    later, earlier = follow_both_ways(clip, first, seed=seed, take=take)
+    if tools.settings.repair and tools.settings.refine:
+        start = int(np.searchsorted(clip.frames, first.frame))
+        with part("repair"):
+            _repair(clip, series, lambda row: (later if row >= start else earlier).observation)
     return series
 
 
-def _shifted(evidence_of: Callable[[int], VolumeEvidence | None], by: int) -> EvidenceOf:
+def _shifted(evidence_of: EvidenceOf, by: int) -> EvidenceOf:
     return lambda row: evidence_of(by + row)
 
 
-def _repair(clip: VolumeClip, series: FrameSeries) -> None:
-    """Carry limbs over jumps between frames that follow each other, in place, with the colours that are known now."""
+def _repair(clip: VolumeClip, series: FrameSeries, observation_of: Callable[[int], Observation]) -> None:
+    """Carry limbs over jumps between frames that follow each other, in place, with the colours that are known now.
+
+    observation_of : row -> what was learnt by whoever followed it.
+    """
     tools = clip.observation.tools
 
-    def evidence_of(row: int) -> VolumeEvidence | None:
-        prepared = clip.observation.prepare(int(clip.frames[row]))
-        return None if prepared is None else clip.observation.evidence(prepared)
+    def evidence_of(row: int) -> FrameEvidence | None:
+        prepared = observation_of(row).prepare(int(clip.frames[row]))
+        return None if prepared is None else observation_of(row).evidence(prepared)
 
     numbers = tools.settings.method.repair
     repaired: dict[int, Array] = {}
@@ -281,7 +289,7 @@ def _repair(clip: VolumeClip, series: FrameSeries) -> None:
             _put_right(series, row, state, evidence)
 
 
-def _put_right(series: FrameSeries, row: int, state: Array, evidence: VolumeEvidence) -> None:
+def _put_right(series: FrameSeries, row: int, state: Array, evidence: FrameEvidence) -> None:
     """Another state (D,) in a row of the series; what the old one explains about as well is in doubt."""
     body, method = evidence.tools.body, evidence.tools.settings.method
     fit, old = evidence.fit(state), series.states[row].copy()

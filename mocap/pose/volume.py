@@ -145,6 +145,12 @@ class VolumeTools(PersonTools):
         numbers = self.settings.method.evidence
         return np.where(self.body.is_position, numbers.refine_std_m, numbers.refine_std_rad)
 
+    def refining(self, n_iterations: int | None = None) -> RefineSettings:
+        """How poses are refined.  n_iterations : None = as many as usual."""
+        numbers = self.settings.method.evidence
+        n = numbers.refine_iterations if n_iterations is None else n_iterations
+        return RefineSettings(self.prior_std, n_iterations=n, reach=numbers.refine_reach)
+
     def prepared(self, hull: PersonHull) -> PreparedHull:
         """What of a frame depends on nothing but its hull."""
         settings = self.settings
@@ -337,24 +343,23 @@ class VolumeEvidence:
         """Each of several states (D,) moved to a nearby minimum of the residuals, with a weak prior at itself."""
         if not len(states):
             return []
-        numbers = self.tools.settings.method.evidence
-        settings = RefineSettings(self.tools.prior_std)
+        settings = self.tools.refining(n_iterations)
         return list(
             self.residuals.descended(
                 np.stack(list(states)),
                 prior_std=settings.prior_std,
                 residual_std_m=settings.residual_std_m,
-                n_iterations=numbers.refine_iterations if n_iterations is None else n_iterations,
+                n_iterations=settings.n_iterations,
                 tolerance=settings.tolerance,
+                reach=settings.reach,
                 n_threads=self.tools.n_threads,
             )
         )
 
     def refined_with(self, state: Array, other: ResidualProblem) -> Array:
         """A state (D,) moved to a nearby minimum of the residuals and of another cost, nats."""
-        n = self.tools.settings.method.evidence.refine_iterations
         both = SumProblem((*self.weighted_residuals, (self.m2_per_nat, other)))
-        return refine(both, state, RefineSettings(self.tools.prior_std, n_iterations=n))[0]
+        return refine(both, state, self.tools.refining())[0]
 
     def unexplained_share(self, state: Array) -> float:
         """Share of the hull's surface that lies far from the body."""

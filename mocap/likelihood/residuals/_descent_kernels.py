@@ -130,10 +130,10 @@ def add_prior(x, start, prior, is_circular, H, g):
 
 
 @njit(cache=True, nogil=True)
-def _move_within(x, step, bounds, out):
-    """out = x + step, taken back to the bounds."""
+def _move_within(x, step, reach, bounds, out):
+    """out = x + reach * step, taken back to the bounds."""
     for a in range(x.shape[0]):
-        out[a] = min(max(x[a] + step[a], bounds.lower[a]), bounds.upper[a])
+        out[a] = min(max(x[a] + reach * step[a], bounds.lower[a]), bounds.upper[a])
 
 
 @njit(cache=True, nogil=True)
@@ -145,11 +145,11 @@ def _find_free(x, g, bounds, free):
 
 
 @njit(cache=True, nogil=True)
-def descend(states, fit, bounds, prior, n_iterations, tolerance):
+def descend(states, fit, bounds, prior, n_iterations, tolerance, reach):
     """Move each of the states (K, D), in place, to a nearby minimum of the weighted cost plus the prior at its start.
 
     fit : FitTerms.  prior : (D,) weight of each column's pull to the start.  As `filters.refine`: never a state of
-    higher cost; columns at a limit are held there while the step points out.
+    higher cost; columns at a limit are held there while the step points out.  reach : factor on every step.
     """
     D = states.shape[1]
     is_circular = bounds.is_circular
@@ -160,7 +160,7 @@ def descend(states, fit, bounds, prior, n_iterations, tolerance):
     free = np.empty(D, np.bool_)
     for k in range(states.shape[0]):
         step[:] = 0.0
-        _move_within(states[k], step, bounds, start)
+        _move_within(states[k], step, 0.0, bounds, start)
         x[:] = start
         cost = fit_equations(x, fit, H, g, H_part, g_part)
         cost += add_prior(x, start, prior, is_circular, H, g)
@@ -169,7 +169,7 @@ def descend(states, fit, bounds, prior, n_iterations, tolerance):
             _find_free(x, g, bounds, free)
             new_cost = np.inf
             if damped_step(H, g, damping, free, L, step):
-                _move_within(x, step, bounds, candidate)
+                _move_within(x, step, reach, bounds, candidate)
                 new_cost = fit_equations(candidate, fit, new_H, new_g, H_part, g_part)
                 new_cost += add_prior(candidate, start, prior, is_circular, new_H, new_g)
             if new_cost < cost:

@@ -49,6 +49,7 @@ class BodyFit:
         residual_std_m: float,
         n_iterations: int,
         tolerance: float,
+        reach: float = 1.0,
         n_threads: int = 1,
     ) -> Array:
         """Each of the states (K, D) moved to a nearby minimum of the cost plus a Gaussian prior at its start.
@@ -62,7 +63,7 @@ class BodyFit:
         terms, bounds = self._terms(), Bounds(layout.lower, layout.upper, layout.is_circular)
 
         def job(rows: slice) -> None:
-            descend(moved[rows], terms, bounds, prior, n_iterations, tolerance)
+            descend(moved[rows], terms, bounds, prior, n_iterations, tolerance, reach)
 
         # Whole blocks: rows with gaps between them would be compiled for apart.
         edges = np.linspace(0, len(moved), min(n_threads, len(moved)) + 1).astype(int)
