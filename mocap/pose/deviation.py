@@ -11,6 +11,7 @@ from mocap.body import Body
 from mocap.body.kinematics import point_jacobian
 from mocap.data import StateLayout
 from mocap.data.problem import limbs_of
+from mocap.forks import shared_zeros
 from mocap.pose.method import DeviationSettings
 
 Array = NDArray[np.float64]
@@ -46,19 +47,19 @@ class FrameSeries:
 
     @classmethod
     def of_length(cls, n: int, body: Body) -> FrameSeries:
-        """Room for n frames."""
+        """Room for n frames, in which processes that are forked write too."""
         D, P, M = body.layout.n_columns, body.layout.n_parts, len(body.landmarks)
         return cls(
-            states=np.zeros((n, D)),
-            fit_covariance=np.zeros((n, M, 3, 3)),
-            misfit=np.zeros((n, P)),
-            unexplained=np.zeros(n),
-            blind_std=np.zeros(n),
-            hidden_std=np.zeros((n, M)),
-            observed=np.zeros((n, M), dtype=np.bool_),
-            doubtful=np.zeros((n, M), dtype=np.bool_),
-            log_likelihood=np.zeros(n),
-            ess_share=np.zeros(n),
+            states=shared_zeros((n, D)),
+            fit_covariance=shared_zeros((n, M, 3, 3)),
+            misfit=shared_zeros((n, P)),
+            unexplained=shared_zeros((n,)),
+            blind_std=shared_zeros((n,)),
+            hidden_std=shared_zeros((n, M)),
+            observed=shared_zeros((n, M), np.bool_),
+            doubtful=shared_zeros((n, M), np.bool_),
+            log_likelihood=shared_zeros((n,)),
+            ess_share=shared_zeros((n,)),
         )
 
     def __len__(self) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, Protocol, TypeVar
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from mocap.body import Body, landmarks_of
 from mocap.body.average import mean_state
 from mocap.filters import FILTERS, FilterInfo, ParticleState, initial_particles
+from mocap.forks import can_fork, forked
 from mocap.pose.deviation import FrameSeries, fit_covariance
 from mocap.pose.evidence import FrameEvidence, PersonClip, PersonTools, WholeBodyEvidence
 from mocap.pose.limb_search import LimbSchedule, search_limbs
@@ -26,7 +28,7 @@ from mocap.pose.restart import FallenEvidence, restarted_pose
 from mocap.pose.start import FirstPose, PoseSearch, settle_first_poses, try_first_poses, walking_velocity
 from mocap.profiling import part
 from mocap.rng import rng_for
-from mocap.threads import in_parallel, worker_threads
+from mocap.threads import worker_threads
 
 Array = NDArray[np.float64]
 T_co = TypeVar("T_co", covariant=True)
@@ -194,27 +196,38 @@ def follow_pose(
 
 
 def follow_both_ways(
-    clip: PersonClip, first: FirstPose, *, seed: int, take: Callable[[FramePose], None]
-) -> tuple[PersonClip, PersonClip]:
-    """Every frame of a clip once, from the first pose to the end and back to the beginning, as `follow_pose`: both ways
-    side by side where there are threads.
+    clip: PersonClip,
+    first: FirstPose,
+    *,
+    seed: int,
+    take: Callable[[FramePose], None],
+    progress: Callable[[int], None] | None = None,
+) -> PersonClip:
+    """Every frame of a clip once, from the first pose to the end and back to the beginning, as `follow_pose`; both ways
+    at once, in two processes, where there are threads for it.
 
-    take : given every pose once, in the order of its way; of both ways at a time.  Returns the clip as each of them has
-    left it, the way to the end first: what was learnt on a way stays there.
+    take : given every pose once; what it writes must be shared (`forks.shared_zeros`).  Returns the clip with what was
+    learnt on the way to the end; each way learns by itself.
     """
-    n_threads = clip.observation.tools.n_threads
+    n_threads, tick = clip.observation.tools.n_threads, progress or (lambda n: None)
     start = int(np.searchsorted(clip.frames, first.frame))
     later, earlier = (_on_threads(clip, max(1, n_threads // 2)) for _ in range(2))
-    ways = [(own, *way) for own, way in zip((later, earlier), both_ways(len(clip), start), strict=True)]
+    (name, onwards), (name_back, back) = both_ways(len(clip), start)
 
-    def follow_way(way: tuple[PersonClip, str, range]) -> None:
-        own, name, order = way
+    def follow_way(own: PersonClip, name: str, order: range, tick: Callable[[int], None]) -> None:
         for pose in follow_pose(own, order, first.state, seed=seed, stage=f"pose{name}"):
             if own is later or pose.row != start:  # the start is settled on the way to the end
                 take(pose)
+                tick(1)
 
-    in_parallel(follow_way, ways, n_threads)
-    return later, earlier
+    go_back = partial(follow_way, earlier, name_back, back)
+    if n_threads > 1 and len(back) > 1 and can_fork():
+        with forked(go_back, tick):
+            follow_way(later, name, onwards, tick)
+    else:
+        follow_way(later, name, onwards, tick)
+        go_back(tick)
+    return later
 
 
 def _on_threads(clip: PersonClip, n_threads: int) -> PersonClip:

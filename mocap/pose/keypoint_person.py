@@ -15,6 +15,7 @@ from mocap.body.kinematics import point_jacobian
 from mocap.body.markers import marker_positions
 from mocap.data.keypoints import KEYPOINTS
 from mocap.filters.smoother import smooth_states
+from mocap.forks import shared_zeros
 from mocap.likelihood.markers import BundleSettings, bundle
 from mocap.pose.deviation import FrameSeries, within_limits
 from mocap.pose.evidence import PersonClip, PersonTools
@@ -80,15 +81,13 @@ def follow_keypoints(
     height = HeightEstimate(height_m if height_m is not None else tools.body.height_m, True)
     clip = seen.clip(tools)
     series, n = FrameSeries.of_length(len(clip), tools.body), tools.body.layout.n_columns
-    information = np.zeros((len(clip), n, n))
+    information = shared_zeros((len(clip), n, n))
 
     def take(pose: FramePose) -> None:
         note(series, pose.row, pose, tools)
         information[pose.row] = pose.information
-        if progress is not None:
-            progress(1)
 
-    follow_both_ways(clip, first, seed=seed, take=take)
+    follow_both_ways(clip, first, seed=seed, take=take, progress=progress)
     return FollowedPerson(
         person=seen.person,
         tools=tools,

@@ -73,9 +73,9 @@ class EvidenceSettings(_Strict):
 class StartSettings(_Strict):
     """The first pose of a person: many kinds of poses in all directions, the promising ones followed."""
 
-    middle_share: float = 1 / 3
-    """Of a person's frames, those in the middle, in which the first pose is looked for: from there a clip is followed to
-    both ends side by side."""
+    middle_share: float = 0.2
+    """Of a person's frames, those in the middle, in which the first pose is looked for: from there a clip is followed
+    to both ends side by side."""
     n_directions: int = 16
     """Directions that each kind of pose is tried in."""
     n_copies: int = 8
@@ -100,7 +100,7 @@ class StartSettings(_Strict):
     """Its particles."""
     thorough_survival_rate: float = 0.6
     """Its survival rate."""
-    thorough_iterations: int = 12
+    thorough_iterations: int = 8
     """Of the refinement after it."""
     n_opposite: int = 3
     """Candidates that face against the best one and are followed too: a person from behind has the silhouette of one
@@ -177,7 +177,7 @@ class LimbSearchSettings(_Strict):
     """Every so many pixels' colours are looked at in the search."""
     n_alternatives: int = 6
     """Other poses of a searched limb that are refined and judged."""
-    alternative_iterations: int = 6
+    alternative_iterations: int = 4
     """Of the refinement of each."""
     turn_frames: int = 4
     """Frames between searches for single limbs."""
@@ -205,7 +205,7 @@ class LegsSettings(_Strict):
 
     turn_frames: int = 6
     """Frames between looks, while legs are seen and told apart."""
-    n_iterations: int = 12
+    n_iterations: int = 7
     """Of the refinement of the exchanged legs."""
     better_nats: float = 3.0
     """Exchanged legs must be better by this much."""
@@ -273,7 +273,7 @@ class RepairSettings(_Strict):
     """A carried limb whose gain falls so far below its best is followed no further."""
     largest_nats: float = 8.0
     """Most that one frame may gain or lose, so that no single frame decides."""
-    n_iterations: int = 8
+    n_iterations: int = 5
     """Of the refinement in each frame."""
 
 
@@ -341,7 +341,7 @@ class SizeSettings(_Strict):
     """Of the search, in the logarithm of the girth."""
     furthest_steps: int = 5
     """Steps that the search may go."""
-    n_refinements: int = 8
+    n_refinements: int = 5
     """Iterations of the refinement at every size tried."""
 
 

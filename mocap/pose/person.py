@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate
 from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
-from mocap.pose.evidence import FrameEvidence, Observation, PersonClip
+from mocap.pose.evidence import FrameEvidence, PersonClip
 from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, unbroken
 from mocap.pose.limbs import in_doubt
 from mocap.pose.repair import EvidenceOf, repair_limbs
@@ -176,8 +176,8 @@ def follow_frames(
     """One person over the frames of its track, followed and repaired.
 
     clip : the person's track and hulls, with a body of the given height in its tools.
-    The first pose is looked for in a few frames in the middle; the filter runs from the best of them to the end, and back
-    to the beginning.
+    The first pose is looked for in a few frames in the middle; the filter runs from the best of them to the end, and
+    back to the beginning.
     is_size_fitted : `height` is only the highest place of the head; the size is fitted to some frames around the first
     pose, and the height changes with it.
     Raises ValueError when no frame has a usable hull.
@@ -244,20 +244,17 @@ def finish_person(followed: FollowedPerson) -> PersonPoses:
 def _followed(
     clip: VolumeClip, first: FirstPose, *, seed: int, progress: Callable[[int], None] | None
 ) -> FrameSeries:
-    """The poses of all frames, from the first one to the end and back to the beginning, and repaired where that is set."""
+    """The poses of all frames, from the first one to the end and back to the beginning, repaired where that is set."""
     tools = clip.observation.tools
     series = FrameSeries.of_length(len(clip), tools.body)
 
     def take(pose: FramePose) -> None:
         note(series, pose.row, pose, tools)
-        if progress is not None:
-            progress(1)
 
-    later, earlier = follow_both_ways(clip, first, seed=seed, take=take)
+    learnt = follow_both_ways(clip, first, seed=seed, take=take, progress=progress)
     if tools.settings.repair and tools.settings.refine:
-        start = int(np.searchsorted(clip.frames, first.frame))
         with part("repair"):
-            _repair(clip, series, lambda row: (later if row >= start else earlier).observation)
+            _repair(learnt, series)
     return series
 
 
@@ -265,16 +262,13 @@ def _shifted(evidence_of: EvidenceOf, by: int) -> EvidenceOf:
     return lambda row: evidence_of(by + row)
 
 
-def _repair(clip: VolumeClip, series: FrameSeries, observation_of: Callable[[int], Observation]) -> None:
-    """Carry limbs over jumps between frames that follow each other, in place, with the colours that are known now.
-
-    observation_of : row -> what was learnt by whoever followed it.
-    """
+def _repair(clip: PersonClip, series: FrameSeries) -> None:
+    """Carry limbs over jumps between frames that follow each other, in place, with the colours that are known now."""
     tools = clip.observation.tools
 
     def evidence_of(row: int) -> FrameEvidence | None:
-        prepared = observation_of(row).prepare(int(clip.frames[row]))
-        return None if prepared is None else observation_of(row).evidence(prepared)
+        prepared = clip.observation.prepare(int(clip.frames[row]))
+        return None if prepared is None else clip.observation.evidence(prepared)
 
     numbers = tools.settings.method.repair
     repaired: dict[int, Array] = {}

@@ -17,6 +17,7 @@ from mocap.body.model import load_body_model
 from mocap.data import Occluders, Tracks, VoxelGrid
 from mocap.data import n_judges as judges_of
 from mocap.data.voxels import Voxels
+from mocap.forks import can_fork
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.likelihood.colours import PixelRays, person_rays
@@ -129,12 +130,14 @@ class PoseWork:
     def follow(self, tracks: Tracks) -> list[FollowedPerson]:
         """Every tracked person.
 
-        Several persons share the threads, one each; a single one has them all. The result is the same.
+        One after the other with all threads where a person's ways can be followed in two processes; elsewhere several
+        persons share the threads, one each. The result is the same.
         """
         config, session = self.job.config, self.job.session
         grid, n_threads = stored_grid(self.job.store), self.job.n_threads
         given = stated_height_m(config, load_body_model(config.body_model("voxels")), session)
-        n_of_person = n_threads if len(tracks.persons) < 2 else 1
+        n_at_once = 1 if can_fork() else min(n_threads, len(tracks.persons))
+        n_of_person = n_threads if n_at_once == 1 else 1
         n_total = len(tracks)
         done, counting = 0, Lock()
 
@@ -161,7 +164,7 @@ class PoseWork:
                 progress=tick,
             )
 
-        return in_parallel(followed_of, tracks.persons, n_threads)
+        return in_parallel(followed_of, tracks.persons, n_at_once)
 
     def finished(self, one: FollowedPerson) -> PersonPoses:
         """The poses of a followed person, as uncertain as the cameras' agreement leaves them."""

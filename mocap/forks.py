@@ -1,0 +1,93 @@
+"""A forked process beside this one: for work that keeps the interpreter busy, which threads would have to share."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from threading import Thread
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+# A job, given a function that is told of every step that is done.
+Job = Callable[[Callable[[int], None]], None]
+
+
+def can_fork() -> bool:
+    """Whether a process may be forked that goes on working: elsewhere than on Linux libraries do not allow for it."""
+    return sys.platform.startswith("linux")
+
+
+def shared_zeros(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Zeros that this process and those forked from it later all read and write."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    return np.frombuffer(mmap.mmap(-1, max(size, 1)), dtype, count=int(np.prod(shape))).reshape(shape)
+
+
+@contextmanager
+def forked(job: Job, tick: Callable[[int], None]) -> Iterator[None]:
+    """Do a job in a process of its own while the body of the `with` statement runs in this one.
+
+    All that is left of the job is what it has written into `shared_zeros`. tick : told here, by a thread, of every
+    step that is done there. Leaving waits for the end. A job that fails there, whatever the reason, is done again here,
+    so that its error is raised where it can be told.
+    """
+    reading, writing = os.pipe()
+    process = _fork()
+    if process == 0:
+        _work(job, reading, writing)
+    os.close(writing)
+    listener = Thread(target=_listen, args=(reading, tick), name="mocap-fork", daemon=True)
+    listener.start()
+    try:
+        yield
+    except BaseException:
+        os.kill(process, signal.SIGKILL)
+        raise
+    finally:
+        listener.join()
+        _, status = os.waitpid(process, 0)
+    if status != 0:
+        job(lambda n: None)
+
+
+def _fork() -> int:
+    """`os.fork` of a process whose libraries have threads."""
+    import cv2
+
+    n = cv2.getNumThreads()
+    # The child has none of the threads that OpenCV would wait for there.
+    cv2.setNumThreads(1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of all threads, of idle ones too
+        process = os.fork()
+    if process:
+        cv2.setNumThreads(n)
+    return process
+
+
+def _work(job: Job, reading: int, writing: int) -> None:
+    """The whole life of a forked process. It ends with the one that it was forked from: nobody reads its steps then."""
+    status = 1
+    try:
+        os.close(reading)
+        job(lambda n: _tell(writing, n))
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def _tell(writing: int, n_steps: int) -> None:
+    os.write(writing, bytes(n_steps))
+
+
+def _listen(reading: int, tick: Callable[[int], None]) -> None:
+    while steps := os.read(reading, 4096):
+        tick(len(steps))
+    os.close(reading)
