@@ -134,6 +134,36 @@ def chain_axes(state, chain, R, t, axes):
 
 
 @njit(cache=True, nogil=True)
+def points_and_derivatives(state, body, joint, offset, R, t, points, derivatives):
+    """Places (K, 3) of points on joints at a state (D,) and their derivatives (K, 3, D), zero before; and R, t of the
+    joints.
+
+    body : BodyArrays.  offset : (K, 3) in the frames of the joints (K,).
+    """
+    chain, moves = body.chain, body.moves
+    dof_joint, dof_column = chain.dof_joint, chain.dof_column
+    axes = np.empty((dof_joint.shape[0], 3))
+    chain_axes(state, chain, R, t, axes)
+    for k in range(joint.shape[0]):
+        j = joint[k]
+        for r in range(3):
+            points[k, r] = (
+                R[j, r, 0] * offset[k, 0] + R[j, r, 1] * offset[k, 1] + R[j, r, 2] * offset[k, 2] + t[j, r]
+            )
+            derivatives[k, r, r] += 1.0
+        for d in range(dof_joint.shape[0]):
+            if not moves[j, d]:
+                continue
+            q, column = dof_joint[d], dof_column[d]
+            x = points[k, 0] - t[q, 0]
+            y = points[k, 1] - t[q, 1]
+            z = points[k, 2] - t[q, 2]
+            derivatives[k, 0, column] += axes[d, 1] * z - axes[d, 2] * y
+            derivatives[k, 1, column] += axes[d, 2] * x - axes[d, 0] * z
+            derivatives[k, 2, column] += axes[d, 0] * y - axes[d, 1] * x
+
+
+@njit(cache=True, nogil=True)
 def cones_on_lattice(origin, spacing, start, end, radii, round_ends, inside, deepest):
     """Which points of a lattice lie in each truncated cone.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.arrays import Array
-from mocap.body._kernels import Chain, ConeArrays, chain_axes, place_cones, transforms_kernel
+from mocap.body._kernels import Chain, ConeArrays, place_cones, points_and_derivatives, transforms_kernel
 from mocap.body.model import Body
 from mocap.data.skeleton import Skeleton
 from mocap.geometry.rigid import matrix_from_twist
@@ -129,15 +129,20 @@ def point_jacobian(
 ) -> tuple[Array, Array, Array]:
     """Points offset (K, 3) m on joints (K,) at a state (D,): their places (K, 3) m, world, the derivatives (K, 3, D) of
     these by the state, and the rotations (J, 3, 3) of all joints."""
-    J = len(body.joints)
-    R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((len(body.dof_joint), 3))
-    chain_axes(np.ascontiguousarray(state, dtype=np.float64), body.chain, R, t, axes)
-    points = np.einsum("mrc,mc->mr", R[joint], offset) + t[joint]
-    out = np.zeros((len(points), 3, body.layout.n_columns))
-    out[:, :, :3] = np.eye(3)
-    turn = np.cross(axes[None], points[:, None] - t[body.dof_joint][None])
-    out[:, :, body.dof_column] += (turn * body.moves[joint][:, :, None]).transpose(0, 2, 1)
-    return points, out, R
+    J, K = len(body.joints), len(joint)
+    R, t, points = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((K, 3))
+    derivatives = np.zeros((K, 3, body.layout.n_columns))
+    points_and_derivatives(
+        np.ascontiguousarray(state, dtype=np.float64),
+        body.arrays,
+        np.ascontiguousarray(joint, dtype=np.int64),
+        np.ascontiguousarray(offset, dtype=np.float64),
+        R,
+        t,
+        points,
+        derivatives,
+    )
+    return points, derivatives, R
 
 
 def neutral_state(body: Body) -> Array:

@@ -47,3 +47,15 @@ def are_near(at, pixels, corner, shape, reach):
             if found[i]:
                 break
     return found
+
+
+@njit(cache=True, nogil=True)
+def extent_of(pixels):
+    """Smallest and largest column and row of some pixels (N, 2), N > 0: (2,), (2,)."""
+    low = pixels[0].copy()
+    high = pixels[0].copy()
+    for i in range(pixels.shape[0]):
+        for c in range(2):
+            low[c] = min(low[c], pixels[i, c])
+            high[c] = max(high[c], pixels[i, c])
+    return low, high

@@ -88,6 +88,42 @@ def nearest_of_labels(labels, inside):
 
 
 @njit(cache=True, nogil=True)
+def are_inside(at, corner, shape, size, border):
+    """Which places (M, 2) of a crop, column and row, are neither at its rim nor within so many pixels of the picture's.
+
+    corner : column and row of the crop's first pixel.  shape : its height and width.  size : the picture's width and
+    height.
+    """
+    inside = np.empty(at.shape[0], np.bool_)
+    for i in range(at.shape[0]):
+        inside[i] = True
+        for c in range(2):
+            place = at[i, c] + corner[c]
+            inside[i] &= 0 < at[i, c] < shape[1 - c] - 1 and border <= place < size[c] - border
+    return inside
+
+
+@njit(cache=True, nogil=True)
+def rays_through(uv, normals, K, R):
+    """Rays of a pinhole through places (M, 2) px of its picture, and normals (M, 2) of lines there, turned into the
+    world and orthogonal to the rays: two (M, 3), unit length.  R : world to camera."""
+    rays = np.empty((uv.shape[0], 3))
+    outward = np.empty((uv.shape[0], 3))
+    for i in range(uv.shape[0]):
+        x = (uv[i, 0] - K[0, 2]) / K[0, 0]
+        y = (uv[i, 1] - K[1, 2]) / K[1, 1]
+        length = math.sqrt(x * x + y * y + 1.0)
+        u = (x / length, y / length, 1.0 / length)
+        along = normals[i, 0] * u[0] + normals[i, 1] * u[1]
+        n = (normals[i, 0] - along * u[0], normals[i, 1] - along * u[1], -along * u[2])
+        scale = 1.0 / max(math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), 1e-9)
+        for c in range(3):
+            rays[i, c] = u[0] * R[0, c] + u[1] * R[1, c] + u[2] * R[2, c]
+            outward[i, c] = scale * (n[0] * R[0, c] + n[1] * R[1, c] + n[2] * R[2, c])
+    return rays, outward
+
+
+@njit(cache=True, nogil=True)
 def mirrored(i, n):
     """An index into n pixels, of which the first and the last are mirrors."""
     i = abs(i)

@@ -19,15 +19,17 @@ from mocap.body.kinematics import cones_of, distance_of_lines
 from mocap.body.model import Body
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.problem import StateLayout
-from mocap.geometry._pixel_kernels import are_near, pixels_of_points
+from mocap.geometry._pixel_kernels import are_near, extent_of, pixels_of_points
 from mocap.likelihood.residuals._outline_kernels import (
     Crops,
     OutlinePull,
     OutlineTerms,
     Pinholes,
     Rays,
+    are_inside,
     nearest_of_labels,
     outline_equations,
+    rays_through,
     slopes_at,
 )
 from mocap.likelihood.residuals._pull_kernels import FleshPoints
@@ -77,21 +79,21 @@ class OutlineFitSettings:
 class PinholeView:
     """A camera without its distortion: masks are resampled once, then everything is a plain pinhole.
 
-    maps : the pixel maps of cv2.remap, or None without distortion.  inside : (H, W) bool, pixels that the real
-    picture covers.
+    source : (H, W) which pixel of the real picture, row after row, each pixel shows, or None without distortion.
+    inside : (H, W) bool, pixels that the real picture covers; others have source 0.
     """
 
     camera: Camera
-    maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    source: NDArray[np.intp] | None
     inside: Mask
 
     def undistort(self, mask: Mask, window: tuple[slice, slice] | None = None) -> NDArray[np.uint8]:
         """A mask (H, W) as the pinhole sees it, 0 or 1.  window : rows and columns wanted, None = all."""
         image = mask.view(np.uint8)
         wanted = window or (slice(None), slice(None))
-        if self.maps is None:
+        if self.source is None:
             return image[wanted]
-        return cv2.remap(image, self.maps[0][wanted], self.maps[1][wanted], cv2.INTER_NEAREST)
+        return image.ravel().take(self.source[wanted]) & self.inside[wanted].view(np.uint8)
 
 
 def pinhole_view(camera: Camera) -> PinholeView:
@@ -107,8 +109,9 @@ def pinhole_view(camera: Camera) -> PinholeView:
         )
     else:
         maps = cv2.initUndistortRectifyMap(camera.K, camera.dist, None, camera.K, camera.size, cv2.CV_32FC1)
-    covered = cv2.remap(np.ones((height, width), dtype=np.uint8), *maps, cv2.INTER_NEAREST)
-    return PinholeView(camera, (maps[0], maps[1]), covered.view(np.bool_))
+    column, row = (np.rint(m).astype(np.intp) for m in maps)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return PinholeView(camera, np.where(inside, row * width + column, 0), inside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,22 +170,9 @@ def person_outlines(
         if found is None:
             continue
         uv, normal_px, near, low = found
-        K, R = view.camera.K, view.camera.R
-        rays = np.column_stack(
-            [(uv[:, 0] - K[0, 2]) / K[0, 0], (uv[:, 1] - K[1, 2]) / K[1, 1], np.ones(len(uv))]
-        )
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        n_cam = np.column_stack([normal_px, np.zeros(len(uv))])
-        n_cam -= (n_cam * rays).sum(axis=1, keepdims=True) * rays
-        n_cam /= np.maximum(np.linalg.norm(n_cam, axis=1, keepdims=True), 1e-9)
-        parts.append(
-            (
-                np.tile(view.camera.center, (len(uv), 1)),
-                rays @ R,
-                n_cam @ R,
-                np.full(len(uv), v, dtype=np.int64),
-            )
-        )
+        rays, normals = rays_through(uv, normal_px, view.camera.K, view.camera.R)
+        origins = np.tile(view.camera.center, (len(uv), 1))
+        parts.append((origins, rays, normals, np.full(len(uv), v, dtype=np.int64)))
         nearest.append(near.ravel())
         first[v], shape[v], corner[v] = filled, near.shape, low
         filled += near.size
@@ -214,17 +204,15 @@ def _camera_outline(
     n_points: int,
 ) -> tuple[Array, Array, NDArray[np.int32], NDArray[np.int64]] | None:
     """Outline points (M, 2) px, outward normals (M, 2), nearest silhouette pixels of the crop, its corner."""
-    width, height = view.camera.size
     pixels = _pinhole_pixels(view.camera, hull_points)
     if len(pixels) < _MIN_OUTLINE_PX:
         return None
-    low = np.maximum(pixels.min(axis=0) - _MARGIN_PX, 0)
-    high = np.minimum(pixels.max(axis=0) + _MARGIN_PX + 1, [width, height])
+    first, last = extent_of(pixels)
+    low, high = np.maximum(first - _MARGIN_PX, 0), np.minimum(last + _MARGIN_PX + 1, view.camera.size)
     window = slice(low[1], high[1]), slice(low[0], high[0])
     crop = np.ascontiguousarray(view.undistort(mask, window))
     if not crop.any():
         return None
-    h, w = crop.shape
     behind = None if hidden is None else view.undistort(hidden, window)
     possible = crop if behind is None else crop | behind
     _, labels = cv2.distanceTransformWithLabels(1 - possible, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
@@ -235,9 +223,7 @@ def _camera_outline(
     if not points:
         return None
     at = np.concatenate(points)
-    u, v = at[:, 0] + low[0], at[:, 1] + low[1]
-    good = (u >= _BORDER_PX) & (v >= _BORDER_PX) & (u < width - _BORDER_PX) & (v < height - _BORDER_PX)
-    good &= (at > 0).all(axis=1) & (at[:, 0] < w - 1) & (at[:, 1] < h - 1)
+    good = are_inside(at, low, crop.shape, view.camera.size, _BORDER_PX)
     if behind is not None:
         good &= cv2.dilate(behind, _EDGE_KERNEL)[at[:, 1], at[:, 0]] == 0
     at = at[good]
@@ -247,13 +233,19 @@ def _camera_outline(
         at = at[~are_near(at, others, low, crop.shape, _NEAR_PX)]
     if len(at) == 0:
         return None
-    at = at[np.unique(np.linspace(0, len(at) - 1, n_points).astype(int))]
+    at = at[_spread(len(at), n_points)]
     slope = -slopes_at(crop, at, *_SOFT_SLOPE)
     length = np.linalg.norm(slope, axis=1)
     clear = length > _LEAST_SLOPE
     normal = slope[clear] / length[clear, None]
     # The outline runs between the last pixel of the silhouette and the next.
     return at[clear] + low + 0.5 * normal, normal, near, low
+
+
+def _spread(n: int, n_wanted: int) -> NDArray[np.int64]:
+    """At most so many of n rows, evenly spread, ascending."""
+    rows = np.linspace(0, n - 1, n_wanted).astype(np.int64)
+    return rows if n >= n_wanted else np.unique(rows)
 
 
 @dataclass(frozen=True, eq=False)
