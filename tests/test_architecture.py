@@ -14,7 +14,18 @@ ROOT = Path(__file__).resolve().parents[1]
 
 STAGES = ("foreground", "volume", "tracking", "body", "likelihood", "filters", "metrics")
 # Modules that every package may import.
-EVERYBODYS = ("arrays", "compiling", "errors", "files", "threads", "portable", "profiling", "progress", "rng")
+EVERYBODYS = (
+    "arrays",
+    "compiling",
+    "errors",
+    "files",
+    "forks",
+    "threads",
+    "portable",
+    "profiling",
+    "progress",
+    "rng",
+)
 # Package of mocap -> packages of mocap that it may import besides itself and these.
 ARROWS: dict[str, frozenset[str]] = {
     **{module: frozenset() for module in EVERYBODYS},

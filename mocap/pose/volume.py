@@ -53,7 +53,13 @@ from mocap.pose.settings import PoseSettings
 from mocap.profiling import part
 from mocap.threads import in_parallel
 from mocap.volume import surface_map
-from mocap.volume.surface import OCCUPIED_BIT, SURFACE_LEVELS
+from mocap.volume.surface import (
+    OCCUPIED_BIT,
+    SURFACE_LEVELS,
+    bounds_within,
+    mark_unknown,
+    subscripts_and_bounds,
+)
 
 Array = NDArray[np.float64]
 
@@ -97,20 +103,16 @@ def pack_volume(
     An unknown voxel may be flesh or air, surface or none: a body part may lie there as in a hull, and is not drawn in.
     """
     margin = int(np.ceil(margin_m / grid.voxel_size_m))
-    subs, unknown = grid.subscripts(hull.voxels), grid.subscripts(hull.unknown)
-    lower, upper = subs.min(axis=0) - margin, subs.max(axis=0) + margin + 1
-    if len(unknown):
-        reach = int(np.ceil(EvidenceSettings.hidden_reach_m / grid.voxel_size_m))
-        near = unknown[
-            np.all((unknown >= subs.min(axis=0) - reach) & (unknown <= subs.max(axis=0) + reach), axis=1)
-        ]
-        if len(near):
-            lower, upper = np.minimum(lower, near.min(axis=0) - 1), np.maximum(upper, near.max(axis=0) + 2)
+    _, first, last = subscripts_and_bounds(hull.voxels, grid)
+    unknown, _, _ = subscripts_and_bounds(hull.unknown, grid)
+    lower, upper = first - margin, last + margin
+    reach = int(np.ceil(EvidenceSettings.hidden_reach_m / grid.voxel_size_m))
+    near = bounds_within(unknown, first - reach, last - 1 + reach)
+    if near is not None:
+        lower, upper = np.minimum(lower, near[0] - 1), np.maximum(upper, near[1] + 1)
     crop = surface_map(hull.voxels, hull.is_surface, grid, lower, upper, surface_sigma_voxels)
-    at = unknown - lower
-    at = at[np.all((at > 0) & (at < np.array(crop.shape) - 1), axis=1)]
-    crop[tuple(at.T)] |= OCCUPIED_BIT | _HALF_SURFACE
-    return PackedVolume(crop, lower.astype(np.int64), grid)
+    mark_unknown(crop, lower, unknown, OCCUPIED_BIT | _HALF_SURFACE)
+    return PackedVolume(crop, lower, grid)
 
 
 @dataclass(frozen=True, eq=False)

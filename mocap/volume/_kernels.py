@@ -42,6 +42,34 @@ def fill_crop(subs, lower, crop):
 
 
 @njit(cache=True, nogil=True)
+def mark_inner(subs, lower, value, crop):
+    """Set the bits of a value in crop[subs - lower] where that lies inside the crop and not in its outermost layer."""
+    nx, ny, nz = crop.shape
+    for i in range(subs.shape[0]):
+        x, y, z = subs[i, 0] - lower[0], subs[i, 1] - lower[1], subs[i, 2] - lower[2]
+        if x > 0 and y > 0 and z > 0 and x < nx - 1 and y < ny - 1 and z < nz - 1:
+            crop[x, y, z] |= value
+
+
+@njit(cache=True, nogil=True)
+def bounds_within(subs, low, high):
+    """How many subscripts (n, 3) lie in low .. high, both included, and the corners of these, the upper exclusive."""
+    n = 0
+    lower = np.full(3, 2**31 - 1, dtype=np.int64)
+    upper = np.zeros(3, dtype=np.int64)
+    for i in range(subs.shape[0]):
+        is_within = True
+        for a in range(3):
+            is_within &= low[a] <= subs[i, a] <= high[a]
+        if is_within:
+            n += 1
+            for a in range(3):
+                lower[a] = min(lower[a], np.int64(subs[i, a]))
+                upper[a] = max(upper[a], np.int64(subs[i, a]) + 1)
+    return n, lower, upper
+
+
+@njit(cache=True, nogil=True)
 def surface_of_crop(subs, lower, crop, is_surface):
     """Whether some 6-neighbour is empty; the crop must reach one voxel beyond every voxel."""
     for i in range(subs.shape[0]):

@@ -25,17 +25,29 @@ def check_voxels(voxels: Voxels, grid: VoxelGrid) -> Voxels:
     return v
 
 
-def surface_voxels(voxels: Voxels, grid: VoxelGrid) -> NDArray[np.bool_]:
+def subscripts_and_bounds(
+    voxels: Voxels, grid: VoxelGrid
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    """Subscripts (N, 3) of a list (N,), ascending, and their lower and upper corner, (3,) each, the upper exclusive."""
+    v = check_voxels(voxels, grid)
+    subs, lower, upper = _kernels.subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
+    return subs, lower, upper
+
+
+def surface_voxels(voxels: Voxels, grid: VoxelGrid, unknown: Voxels | None = None) -> NDArray[np.bool_]:
     """Whether each occupied voxel has an empty 6-neighbour; outside the grid is empty.
 
-    voxels : (N,) int32 ascending. Returns (N,) bool; N = 0 gives an empty array.
+    voxels : (N,) int32 ascending.  unknown : (U,) the same, voxels that may be occupied: where the next one is unknown
+    nobody has seen a surface. Returns (N,) bool; N = 0 gives an empty array.
     """
     v = check_voxels(voxels, grid)
     is_surface = np.zeros(len(v), dtype=np.bool_)
     if len(v):
-        subs, lower, upper = _kernels.subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
+        subs, lower, upper = subscripts_and_bounds(v, grid)
         crop = np.zeros(tuple(upper - lower + 2), dtype=np.uint8)
         _kernels.fill_crop(subs, lower - 1, crop)
+        if unknown is not None:
+            _kernels.fill_crop(subscripts_and_bounds(unknown, grid)[0], lower - 1, crop)
         _kernels.surface_of_crop(subs, lower - 1, crop, is_surface)
     return is_surface
 
@@ -81,7 +93,7 @@ def surface_map(
     packed = np.zeros(tuple(upper - lower), dtype=np.uint8)
     if len(v):
         kernel = gaussian_weights(sigma_voxels)
-        subs, first, last = _kernels.subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
+        subs, first, last = subscripts_and_bounds(v, grid)
         # Work arrays only where the surface reaches; the crop may be far larger.
         r = len(kernel) // 2
         corner = np.maximum(first - lower - r, -r)
@@ -92,3 +104,19 @@ def surface_map(
             outer = np.ascontiguousarray(is_surface, dtype=np.bool_)
             _kernels.smooth_surface(subs, outer, lower, kernel, gain, corner, work[0], work[1], packed)
     return packed
+
+
+def mark_unknown(
+    packed: NDArray[np.uint8], lower_sub: NDArray[np.int64], unknown: NDArray[np.int32], value: int
+) -> None:
+    """Set the bits of a value where a map of a crop, but for its outermost layer, holds unknown voxels (U, 3)."""
+    _kernels.mark_inner(unknown, lower_sub, np.uint8(value), packed)
+
+
+def bounds_within(
+    subs: NDArray[np.int32], low: NDArray[np.int64], high: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """Corners, (3,) each, the upper exclusive, of those subscripts (N, 3) that lie in low .. high, both included; None
+    where none does."""
+    n, lower, upper = _kernels.bounds_within(subs, low, high)
+    return (lower, upper) if n else None

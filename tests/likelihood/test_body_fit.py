@@ -50,14 +50,14 @@ def test_the_sum_is_that_of_its_terms(flesh: Flesh, fit: BodyFit) -> None:
 
 
 @pytest.mark.parametrize("n_threads", [1, 3])
-@pytest.mark.parametrize("n_iterations", [1, 12])
+@pytest.mark.parametrize(("n_iterations", "reach"), [(1, 1.0), (12, 1.0), (1, 1.6), (7, 1.6)])
 def test_the_descent_is_that_of_its_twin(
-    flesh: Flesh, fit: BodyFit, n_threads: int, n_iterations: int
+    flesh: Flesh, fit: BodyFit, n_threads: int, n_iterations: int, reach: float
 ) -> None:
     fit = replace(fit, usual_weight=USUAL_WEIGHT)
     layout = flesh.body.layout
     std = np.where(np.arange(layout.n_columns) < 3, 0.1, 0.5)
-    settings = RefineSettings(prior_std=std, n_iterations=n_iterations)
+    settings = RefineSettings(prior_std=std, n_iterations=n_iterations, reach=reach)
     expected = [refine(fit, state, settings)[0] for state in starts(flesh)]
     found = fit.descended(
         starts(flesh),
@@ -65,6 +65,7 @@ def test_the_descent_is_that_of_its_twin(
         residual_std_m=settings.residual_std_m,
         n_iterations=n_iterations,
         tolerance=settings.tolerance,
+        reach=reach,
         n_threads=n_threads,
     )
     np.testing.assert_allclose(found, expected, atol=1e-7)

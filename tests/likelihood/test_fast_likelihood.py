@@ -16,7 +16,7 @@ from mocap.likelihood.voxels import (
     fast_part_scores,
     part_scores,
 )
-from mocap.likelihood.voxels._fast_kernels import fast_scores_kernel
+from mocap.likelihood.voxels._fast_kernels import fast_scores_kernel, picked_on_path
 from mocap.likelihood.voxels.exact import SURFACE_MAX
 from mocap.likelihood.voxels.fast import _FILLED, _fast_sample, segment_map, spread_sample
 from mocap.pose.volume import pack_volume
@@ -172,6 +172,16 @@ def test_a_sample_is_spread() -> None:
     np.testing.assert_array_equal(spread_sample(line, 500), np.arange(100))
     assert spread_sample(line[:0], 5).size == 0
     assert spread_sample(line, 0).size == 0
+
+
+@pytest.mark.parametrize(("n_points", "n_wanted"), [(2, 1), (3, 2), (57, 56), (400, 31)])
+def test_the_path_through_halved_boxes_is_that_of_its_twin(n_points: int, n_wanted: int) -> None:
+    # Rounded, so that many points are level and the order among equals counts.
+    points = np.round(np.random.default_rng(n_points).random((n_points, 3)), 1)
+    picks = ((np.arange(n_wanted) + 0.5) * n_points / n_wanted).astype(np.int64)
+    picked = picked_on_path(points, picks)
+    np.testing.assert_array_equal(picked, picked_on_path.py_func(points, picks))
+    assert len(set(picked.tolist())) == n_wanted
 
 
 def test_the_map_of_a_block_is_the_closed_form() -> None:

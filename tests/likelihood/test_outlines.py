@@ -23,6 +23,7 @@ from outline_world import (
 from mocap.body import cones_of, joint_transforms, landmarks_of, neutral_state
 from mocap.data import CameraRig
 from mocap.filters.refine import RefineSettings, refine
+from mocap.geometry._pixel_kernels import extent_of
 from mocap.likelihood.residuals import (
     OutlineFitSettings,
     OutlineProblem,
@@ -357,3 +358,37 @@ def test_slopes_at_pixels_are_those_of_the_blurred_picture() -> None:
     expected = np.column_stack([right[at[:, 1], at[:, 0]], down[at[:, 1], at[:, 0]]])
     assert np.abs(expected).max() > 1.0
     np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_a_view_with_distortion_shows_what_opencv_does(rig: CameraRig) -> None:
+    camera = replace(next(iter(rig)), dist=np.array([0.25, 0.12, 0.001, -0.002, 0.0]))
+    mask = np.random.default_rng(4).random((H, W)) < 0.4
+    view, window = pinhole_view(camera), (slice(7, H - 3), slice(0, W - 11))
+    maps = cv2.initUndistortRectifyMap(camera.K, camera.dist, None, camera.K, camera.size, cv2.CV_32FC1)
+    expected = cv2.remap(mask.view(np.uint8), *maps, cv2.INTER_NEAREST)
+    np.testing.assert_array_equal(view.undistort(mask), expected)
+    np.testing.assert_array_equal(view.undistort(mask, window), expected[window])
+    covered = cv2.remap(np.ones((H, W), dtype=np.uint8), *maps, cv2.INTER_NEAREST)
+    np.testing.assert_array_equal(view.inside, covered > 0)
+    assert not view.inside.all()
+
+
+def test_rays_and_places_of_outlines_equal_numpy(rig: CameraRig) -> None:
+    rng, camera = np.random.default_rng(5), list(rig)[1]
+    K, R = camera.K, camera.R
+    uv, normals = rng.uniform(0, 90, (23, 2)), rng.normal(size=(23, 2))
+    rays, outward = kernels.rays_through(uv, normals, K, R)
+    u = np.linalg.solve(K, np.column_stack([uv, np.ones(23)]).T).T
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    n = np.column_stack([normals, np.zeros(23)])
+    n -= (n * u).sum(axis=1, keepdims=True) * u
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    np.testing.assert_allclose(rays, u @ R, atol=1e-12)
+    np.testing.assert_allclose(outward, n @ R, atol=1e-12)
+    at, corner, shape, size, border = rng.integers(0, 40, (300, 2)), np.array([5, 30]), (33, 29), (31, 60), 3
+    place = at + corner
+    inside = ((at > 0) & (at < np.array(shape[::-1]) - 1)).all(axis=1)
+    inside &= ((place >= border) & (place < np.array(size) - border)).all(axis=1)
+    np.testing.assert_array_equal(kernels.are_inside(at, corner, shape, size, border), inside)
+    low, high = extent_of(at)
+    np.testing.assert_array_equal([low, high], [at.min(axis=0), at.max(axis=0)])

@@ -14,7 +14,6 @@ from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, VoxelGrid
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
-from mocap.pipeline.stages.pose import surface_towards_air
 from mocap.pose.deviation import FrameSeries, landmark_covariances
 from mocap.pose.method import DeviationSettings
 from mocap.pose.result import warnings_of_volumes
@@ -43,7 +42,7 @@ def without_shank(*, is_unknown: bool) -> PersonHull:
     left, gone = whole.voxels[~is_shank], whole.voxels[is_shank]
     assert 50 < len(gone) < 0.2 * len(whole.voxels)
     unknown = gone if is_unknown else np.zeros(0, dtype=np.int32)
-    return PersonHull(left, surface_towards_air(left, unknown, FLESH.grid), unknown=unknown)
+    return PersonHull(left, surface_voxels(left, FLESH.grid, unknown), unknown=unknown)
 
 
 def evidence(hull: PersonHull) -> VolumeEvidence:
@@ -71,7 +70,7 @@ def test_legs_that_nobody_sees_carry_the_body() -> None:
     waist = state()[2] - 0.05
     low = everywhere[grid.centers(everywhere)[:, 2] < waist]
     seen = np.setdiff1d(whole.voxels, low)
-    behind = evidence(PersonHull(seen, surface_towards_air(seen, low, grid), unknown=low))
+    behind = evidence(PersonHull(seen, surface_voxels(seen, grid, low), unknown=low))
     floating = evidence(PersonHull(seen, surface_voxels(seen, grid)))
     assert behind.hides_legs
     assert not floating.hides_legs
@@ -133,10 +132,8 @@ def test_no_surface_where_the_unknown_begins() -> None:
     box = np.array([[x, y, z] for x in range(1, 4) for y in range(1, 4) for z in range(1, 6)])
     voxels = grid.linear(box[box[:, 2] < 4])
     unknown = grid.linear(box[box[:, 2] >= 4])
-    np.testing.assert_array_equal(
-        surface_towards_air(voxels, unknown[:0], grid), surface_voxels(voxels, grid)
-    )
-    is_surface = surface_towards_air(voxels, unknown, grid)
+    np.testing.assert_array_equal(surface_voxels(voxels, grid, unknown[:0]), surface_voxels(voxels, grid))
+    is_surface = surface_voxels(voxels, grid, unknown)
     top_middle = grid.linear(np.array([[2, 2, 3]]))[0]
     assert not is_surface[np.searchsorted(voxels, top_middle)]
     assert surface_voxels(voxels, grid)[np.searchsorted(voxels, top_middle)]

@@ -19,7 +19,7 @@ from mocap.volume import (
     surface_voxels,
     visible_views,
 )
-from mocap.volume.surface import gaussian_weights
+from mocap.volume.surface import bounds_within, gaussian_weights, mark_unknown, subscripts_and_bounds
 
 GRID = VoxelGrid(np.array([-0.5, -0.3, 0.0]), (11, 13, 17), 0.1)
 # One level of 127: a value on a rounding boundary may fall either way in float32.
@@ -38,6 +38,44 @@ def test_surface_is_what_erosion_removes(seed, share):
     dense = GRID.dense(voxels)
     inner = ndimage.binary_erosion(dense)  # border value 0: outside the grid is empty
     np.testing.assert_array_equal(surface_voxels(voxels, GRID), ~inner.ravel()[voxels])
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_surface_beside_unknown_voxels_is_that_of_both(seed):
+    voxels = random_voxels(seed, 0.4)
+    unknown = np.setdiff1d(random_voxels(seed + 1, 0.3), voxels).astype(np.int32)
+    both = np.union1d(voxels, unknown).astype(np.int32)
+    expected = surface_voxels(both, GRID)[np.searchsorted(both, voxels)]
+    np.testing.assert_array_equal(surface_voxels(voxels, GRID, unknown), expected)
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_bounds_and_marks_of_unknown_voxels_equal_numpy(seed):
+    unknown = random_voxels(seed, 0.02)
+    subs, lower, upper = subscripts_and_bounds(unknown, GRID)
+    np.testing.assert_array_equal(subs, GRID.subscripts(unknown))
+    np.testing.assert_array_equal(lower, subs.min(axis=0))
+    np.testing.assert_array_equal(upper, subs.max(axis=0) + 1)
+    low, high = np.array([2, 3, 5]), np.array([7, 9, 12])
+    near = subs[np.all((subs >= low) & (subs <= high), axis=1)]
+    bounds = bounds_within(subs, low, high)
+    if len(near):
+        np.testing.assert_array_equal(bounds, [near.min(axis=0), near.max(axis=0) + 1])
+    else:
+        assert bounds is None
+    packed, corner = np.full((6, 7, 8), 1, dtype=np.uint8), np.array([1, 2, 4])
+    expected = packed.copy()
+    at = subs - corner
+    at = at[np.all((at > 0) & (at < np.array(packed.shape) - 1), axis=1)]
+    expected[tuple(at.T)] |= 192
+    mark_unknown(packed, corner, subs, 192)
+    np.testing.assert_array_equal(packed, expected)
+
+
+def test_no_voxels_have_no_bounds():
+    assert bounds_within(np.zeros((0, 3), dtype=np.int32), np.zeros(3, int), np.full(3, 9)) is None
 
 
 @given(

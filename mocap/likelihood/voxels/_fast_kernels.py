@@ -67,6 +67,40 @@ class FastSample(NamedTuple):
     overlap: Overlap
 
 
+@njit(cache=True, nogil=True)
+def picked_on_path(points, picks):
+    """Rows of points (M, 3) at some places, ascending, of a path through all of them: half by half of their box, halved
+    across its longest side.  Returns (len(picks),), in the order of the path."""
+    rows = np.arange(points.shape[0])
+    picked = np.empty(picks.shape[0], np.int64)
+    # Stretches of the path that are left: first and last row, first and last pick, the last ones exclusive.
+    left = [(0, points.shape[0], 0, picks.shape[0])]
+    while len(left):
+        lo, hi, first, last = left.pop()
+        n = last - first
+        if n == 0:
+            continue
+        if n == hi - lo:
+            picked[first:last] = rows[lo:hi]
+            continue
+        if hi - lo == 2:
+            picked[first] = rows[picks[first]]
+            continue
+        axis, longest = 0, -1.0
+        for c in range(3):
+            own = points[rows[lo:hi], c]
+            if own.max() - own.min() > longest:
+                axis, longest = c, own.max() - own.min()
+        rows[lo:hi] = rows[lo:hi][np.argsort(points[rows[lo:hi], axis], kind="mergesort")]
+        half = lo + (hi - lo) // 2
+        middle = first
+        while middle < last and picks[middle] < half:
+            middle += 1
+        left.append((lo, half, first, middle))
+        left.append((half, hi, middle, last))
+    return picked
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _gather_surface(index, crop):
     """Points in occupied voxels, and the sum of the surface map."""

@@ -12,7 +12,12 @@ from mocap.arrays import Array
 from mocap.body.flesh import LookUpTable
 from mocap.body.model import Body
 from mocap.likelihood.voxels._exact_kernels import Segments
-from mocap.likelihood.voxels._fast_kernels import FastSample, Overlap, fast_scores_kernel
+from mocap.likelihood.voxels._fast_kernels import (
+    FastSample,
+    Overlap,
+    fast_scores_kernel,
+    picked_on_path,
+)
 from mocap.likelihood.voxels.exact import (
     SURFACE_MAX,
     PackedVolume,
@@ -74,24 +79,8 @@ def spread_sample(points: Array, n: int) -> Index:
     """At most n of the points (M, 3), evenly spread: every M / n-th along a path through halved boxes.  Ascending."""
     if n >= len(points):
         return np.arange(len(points))
-
-    def on_path(rows: Index, picks: Index) -> Index:
-        """The rows at some places of the path through all of these."""
-        if len(picks) in (0, len(rows)):
-            return rows[: len(picks)]
-        if len(rows) == 2:
-            return rows[picks]
-        own = points[rows]
-        axis = int((own.max(axis=0) - own.min(axis=0)).argmax())
-        rows = rows[own[:, axis].argsort(kind="stable")]
-        half = len(rows) // 2
-        before = int(picks.searchsorted(half))
-        return np.concatenate(
-            [on_path(rows[:half], picks[:before]), on_path(rows[half:], picks[before:] - half)]
-        )
-
     picks = ((np.arange(n) + 0.5) * len(points) / n).astype(np.int64) if n else np.zeros(0, dtype=np.int64)
-    return np.sort(on_path(np.arange(len(points)), picks))
+    return np.sort(picked_on_path(np.ascontiguousarray(points, dtype=np.float64), picks))
 
 
 def segment_map(points: Array, spacing_m: float) -> tuple[NDArray[np.uint8], Array, float]:

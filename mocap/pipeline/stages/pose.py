@@ -16,7 +16,6 @@ from mocap.body.initial import HeightEstimate
 from mocap.body.model import load_body_model
 from mocap.data import Occluders, Tracks, VoxelGrid
 from mocap.data import n_judges as judges_of
-from mocap.data.voxels import Voxels
 from mocap.forks import can_fork
 from mocap.io.session import Session
 from mocap.io.store import StageStore
@@ -224,7 +223,7 @@ class PersonViews:
         # Surface of the person alone, so that a neighbour does not hide a side of him.
         voxels = arrays["voxels"][keep].astype(np.int32, copy=False)
         unknown = arrays["unknown"].astype(np.int32, copy=False)
-        is_surface = surface_towards_air(voxels, unknown, grid)
+        is_surface = surface_voxels(voxels, grid, unknown)
         others = arrays["voxels"][(owner > 0) & ~keep & arrays["is_surface"].astype(np.bool_)]
 
         @lru_cache(maxsize=1)
@@ -260,14 +259,6 @@ class PersonViews:
             None if occluders.is_empty else n_judges,
             None if measured is None else measured[keep],
         )
-
-
-def surface_towards_air(voxels: Voxels, unknown: Voxels, grid: VoxelGrid) -> NDArray[np.bool_]:
-    """Which voxels (N,) have an empty neighbour; where the next is unknown nobody has seen a surface."""
-    if len(unknown) == 0:
-        return surface_voxels(voxels, grid)
-    both = np.union1d(voxels, unknown)
-    return surface_voxels(both, grid)[np.searchsorted(both, voxels)]
 
 
 def tracks_of_flesh(results: Sequence[PersonPoses], fps: float) -> Tracks:
