@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,21 +36,24 @@ class Limb:
     landmarks: NDArray[np.int64]
 
 
-def limbs_with_landmarks(body: Body) -> list[Limb]:
+@lru_cache(maxsize=16)
+def limbs_with_landmarks(body: Body) -> tuple[Limb, ...]:
     """The limbs that have columns and landmarks."""
     layout, parts = body.layout, body.landmark_parts
     found = [
         Limb(np.flatnonzero(np.isin(layout.part_of_column, limb)), np.flatnonzero(np.isin(parts, limb)))
         for limb in limbs_of(layout)
     ]
-    return [limb for limb in found if len(limb.columns) and len(limb.landmarks)]
+    return tuple(limb for limb in found if len(limb.columns) and len(limb.landmarks))
 
 
+@lru_cache(maxsize=16)
 def legs_of(body: Body) -> tuple[Limb, Limb] | None:
     """Left and right leg with the landmarks below the hip, in this order; None for a body that has not two of them."""
     return _pair_of(body, _LEG)
 
 
+@lru_cache(maxsize=16)
 def arms_of(body: Body) -> tuple[Limb, Limb] | None:
     """Left and right arm with the landmarks below the shoulder, in this order; None for a body that has not two."""
     return _pair_of(body, _ARM)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ class Posture:
         return np.einsum("nlrc,nlr->nlc", R[:, self.parent], along)
 
 
+@lru_cache(maxsize=16)
 def usual_posture(body: Body) -> Posture:
     """The neutral pose's arms and head: the first part of all that hangs on the trunk above the root.
 

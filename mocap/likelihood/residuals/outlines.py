@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -266,20 +266,10 @@ class OutlineProblem:
 
     def __post_init__(self) -> None:
         flesh, joint, _ = flesh_sample(self.table, self.settings.n_flesh_points)
-        cameras = list(self.outlines.rig)
-        intrinsics = np.array(
-            [
-                [c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2], 1.0, 1.0, c.size[0] - 2.0, c.size[1] - 2.0]
-                for c in cameras
-            ]
-        )
         for name, value in (
             ("_flesh", flesh),
             ("_flesh_joint", joint),
-            (
-                "_cameras",
-                Pinholes(np.stack([c.R for c in cameras]), np.stack([c.t for c in cameras]), intrinsics),
-            ),
+            ("_cameras", _pinholes(self.outlines.rig)),
         ):
             object.__setattr__(self, name, value)
 
@@ -335,6 +325,17 @@ class OutlineProblem:
             axis=1
         )
         return float((outside > distance_m).mean())
+
+
+@lru_cache(maxsize=64)
+def _pinholes(rig: CameraRig) -> Pinholes:
+    """The cameras of a rig as kernels take them."""
+    cameras = list(rig)
+    intrinsics = [
+        [c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2], 1.0, 1.0, c.size[0] - 2.0, c.size[1] - 2.0]
+        for c in cameras
+    ]
+    return Pinholes(np.stack([c.R for c in cameras]), np.stack([c.t for c in cameras]), np.array(intrinsics))
 
 
 def _rays(origins: Array, directions: Array, normals: Array) -> Rays:

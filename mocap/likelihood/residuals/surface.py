@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +114,7 @@ def hull_surface(
     return HullSurface(grid.centers(surface), normals, volume)
 
 
+@lru_cache(maxsize=64)
 def flesh_sample(table: LookUpTable, n: int) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """About n surface points of the flesh, evenly spread: (M, 3) m in joint frames, their joints and parts (M,)."""
     rows = np.concatenate([a + np.arange(k) for a, k in zip(table.start[:-1], table.n_surface, strict=True)])
@@ -146,9 +147,9 @@ class SurfaceProblem:
     def __post_init__(self) -> None:
         every = max(1, len(self.hull.points) // self.settings.n_hull_points)
         table = self.table
-        flesh, joint, part = flesh_sample(table, self.settings.n_flesh_points)
+        flesh, joint, _ = flesh_sample(table, self.settings.n_flesh_points)
         for name, value in (
-            ("_may_meet", _parts_apart_at_rest(self.body, flesh, joint, part)),
+            ("_may_meet", _parts_apart_at_rest(self.body, table, self.settings.n_flesh_points)),
             ("_points", np.ascontiguousarray(self.hull.points[::every])),
             ("_normals", np.ascontiguousarray(self.hull.normals[::every])),
             ("_flesh", flesh),
@@ -225,10 +226,11 @@ class SurfaceProblem:
         return share
 
 
-def _parts_apart_at_rest(
-    body: Body, flesh: Array, joint: NDArray[np.int64], part: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """Parts that each flesh point is clear of in the rest pose, (P, M): neighbours at a joint touch always."""
+@lru_cache(maxsize=64)
+def _parts_apart_at_rest(body: Body, table: LookUpTable, n: int) -> NDArray[np.bool_]:
+    """Parts that each point of the flesh's sample is clear of in the rest pose, (P, M): neighbours at a joint touch
+    always."""
+    flesh, joint, part = flesh_sample(table, n)
     R, t = joint_transforms(body, np.zeros((1, body.layout.n_columns)))
     points = np.einsum("mrc,mc->mr", R[0, joint], flesh) + t[0, joint]
     start, end = cones_of(body, np.zeros(body.layout.n_columns))
