@@ -73,8 +73,8 @@ class EvidenceSettings(_Strict):
 class StartSettings(_Strict):
     """The first pose of a person: many kinds of poses in all directions, the promising ones followed."""
 
-    middle_share: float = 0.2
-    """Of a person's frames, those in the middle, in which the first pose is looked for: from there a clip is followed
+    window_s: float = 2.0
+    """Seconds in the middle of a person's frames in which the first pose is looked for: from there a clip is followed
     to both ends side by side."""
     n_directions: int = 16
     """Directions that each kind of pose is tried in."""
@@ -273,7 +273,7 @@ class RepairSettings(_Strict):
     """A carried limb whose gain falls so far below its best is followed no further."""
     largest_nats: float = 8.0
     """Most that one frame may gain or lose, so that no single frame decides."""
-    n_iterations: int = 5
+    n_iterations: int = 7
     """Of the refinement in each frame."""
 
 

@@ -107,11 +107,12 @@ def _most_promising(
     clip: VolumeClip, usable: Sequence[int], *, seed: int
 ) -> tuple[PoseSearch, list[FirstPose]]:
     """The frame in the middle of the clip in which a first pose promises most, with the poses tried there."""
-    settings, last = clip.observation.tools.settings, len(usable) - 1
-    reach = 0.5 * settings.method.start.middle_share * last
-    picks = np.unique(np.round(np.linspace(0.5 * last - reach, 0.5 * last + reach, settings.n_start_frames)))
+    settings, fps = clip.observation.tools.settings, clip.observation.tools.fps
+    middle, reach = clip.frames[usable[len(usable) // 2]], 0.5 * settings.method.start.window_s * fps
+    window = [i for i in usable if abs(clip.frames[i] - middle) <= reach]
+    picks = np.unique(np.linspace(0, len(window) - 1, settings.n_start_frames).astype(int))
     searches = []
-    for i in (usable[p] for p in picks.astype(int)):
+    for i in (window[p] for p in picks):
         search = _search_at(clip, i)
         rng = rng_for(seed, "first-pose", clip.person, search.frame)
         searches.append((search, try_first_poses(search, rng=rng)))

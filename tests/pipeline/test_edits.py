@@ -12,14 +12,17 @@ from two_persons import CONFIG, exchange_tracks, two_persons_run, two_persons_se
 from mocap.body import landmarks_of
 from mocap.body.model import load_body_model
 from mocap.errors import MocapError
+from mocap.filters.refine import RefineSettings, refine
 from mocap.io.session import open_session
 from mocap.io.store import StageStore
+from mocap.io.tables import read_landmarks_csv
 from mocap.pipeline.edits.model import Edits, parse_edits, read_edits, with_edit, without_last
 from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.run import run_session
 from mocap.pipeline.stage import Job
 from mocap.pipeline.stages import pose as pose_stage
 from mocap.pose.edits import Exchange, Pin, PoseEdits, edited, exchanged
+from mocap.pose.point_fit import PointFit
 from mocap.pose.result import FollowedPerson
 from mocap.products.followed import stored_followed
 
@@ -152,8 +155,25 @@ def followed_person(session: Path, out: Path) -> tuple[pose_stage.PoseWork, Foll
     return work, found[1]
 
 
+def put_right(session: Path, work: pose_stage.PoseWork, one: FollowedPerson) -> None:
+    """Give a person, in place, the poses that the truth's landmarks and the frames' evidence lead to."""
+    body, evidence_of = one.body, work.evidence_of(one)
+    n, settings = body.layout.n_columns, {"residual_std_m": 1.0, "n_iterations": 30}
+    roots = landmarks_of(body, one.series.states)[:, 0]
+    persons = read_landmarks_csv(session / "truth" / "landmarks.csv")
+    truth = min(persons, key=lambda p: np.linalg.norm(p.landmarks[: len(roots), 0] - roots, axis=1).mean())
+    for row, places in enumerate(truth.landmarks[: len(roots)]):
+        known = slice(len(places))
+        fit = PointFit(body, body.landmark_joint[known], body.landmark_offset[known], places)
+        state, _ = refine(fit, one.series.states[row], RefineSettings(np.full(n, 1e3), **settings))
+        evidence = evidence_of(row)
+        assert evidence is not None
+        one.series.states[row] = evidence.refined(state)
+
+
 def test_a_pin_pulls_a_wrong_wrist_right_and_its_neighbours_follow(session: Path, out: Path) -> None:
     work, one = followed_person(session, out)
+    put_right(session, work, one)
     body, wrist = one.body, one.body.landmarks.index("left_wrist")
     arm = np.flatnonzero([name.startswith(("left_shoulder", "left_elbow")) for name in body.layout.names])
     right = landmarks_of(body, one.series.states)[:, wrist]
