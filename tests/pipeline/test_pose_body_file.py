@@ -76,7 +76,7 @@ def test_several_persons_have_a_file_each(out: Path) -> None:
     other = replace(
         one,
         person=4,
-        body=scale_body(load_body_model("girdle"), 1.61),
+        body=scale_body(load_body_model("whole"), 1.61),
         height=replace(one.height, is_measured=False),
     )
     files = body_files(store, [one, other])
