@@ -63,7 +63,7 @@ def _errors(record: RunRecord, found: Found) -> Iterator[Chart]:
 
 
 def _paths(found: Found) -> Figure:
-    from mocap.view import plot_track_map
+    from mocap.view import track_map_svg
 
     truth, true_tracks = found.session.truth_dir, None
     if truth is not None and (truth / "tracks.csv").exists():
@@ -71,7 +71,8 @@ def _paths(found: Found) -> Figure:
     return Figure(
         "Paths from above",
         "Cameras, room and the path of every person; truth dashed where it is known.",
-        plot_track_map(found.session.rig, found.tracks, true_tracks, bounds_m=room_bounds(found)),
+        track_map_svg(found.session.rig, found.tracks, true_tracks, bounds_m=room_bounds(found)),
+        mime="image/svg+xml",
         section="tracks",
     )
 

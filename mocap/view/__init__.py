@@ -19,10 +19,10 @@ from mocap.view.places import draw_places
 from mocap.view.plots import (
     plot_error_over_time,
     plot_landmark_errors,
-    plot_track_map,
 )
 from mocap.view.report import REPORT_SCORES, FramePanel, PersonPage, Place, ReportData, write_report
 from mocap.view.scene import SceneFrame, write_rrd
+from mocap.view.track_map import track_map_svg
 
 __all__ = [
     "REPORT_SCORES",
@@ -47,7 +47,7 @@ __all__ = [
     "person_window",
     "plot_error_over_time",
     "plot_landmark_errors",
-    "plot_track_map",
+    "track_map_svg",
     "write_report",
     "write_rrd",
 ]

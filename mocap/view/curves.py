@@ -98,11 +98,11 @@ def _chart(chart: Chart) -> str:
     drawn = "".join(
         f'<line class="grid" x1="{_LEFT}" x2="{_RIGHT}" y1="{y_of(v):.1f}" y2="{y_of(v):.1f}"/>'
         f'<text x="{_LEFT - 6}" y="{y_of(v) + 4:.1f}" text-anchor="end">{v + 0.0:g}</text>'
-        for v in _ticks(low, high)
+        for v in ticks(low, high)
     )
     drawn += "".join(
         f'<text x="{x_of(s * chart.fps):.1f}" y="{_HEIGHT - 8}" text-anchor="middle">{s:g} {chart.along}</text>'
-        for s in _ticks(first / chart.fps, last / chart.fps)
+        for s in ticks(first / chart.fps, last / chart.fps)
     )
     for curve in chart.curves:
         drawn += _drawn(curve, keep, x_of(frames), y_of)
@@ -167,7 +167,7 @@ def _limits(chart: Chart) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _ticks(low: float, high: float) -> list[float]:
+def ticks(low: float, high: float) -> list[float]:
     """Two to six round numbers in a range."""
     step = 10.0 ** np.floor(np.log10(max(high - low, 1e-9)))
     for share in (0.2, 0.5, 1.0, 2.0):

@@ -23,7 +23,7 @@ Section = Literal["accuracy", "silhouettes", "tracks", "timing", "other"]
 
 @dataclass(frozen=True)
 class Figure:
-    """One plot: image holds the bytes of a PNG or JPEG file, alt says in words what it shows."""
+    """One plot: image holds the bytes of a PNG, JPEG or SVG file, alt says in words what it shows."""
 
     title: str
     caption: str

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import LANDMARKS, Camera, CameraRig, Tracks
-from mocap.view.overlay import SIDE_COLOURS, person_colour, side_of_landmark
+from mocap.data import LANDMARKS
+from mocap.view.overlay import SIDE_COLOURS, side_of_landmark
 from mocap.view.plotting import (
     INK,
     LINE_COLOURS,
@@ -112,92 +112,6 @@ def _note_values(ax: Any, values: Sequence[float]) -> None:
         text = f"{value:.0f}" if np.isfinite(value) else "not scored"
         plate = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8}
         note(ax, text, (0, y), (5, -3), bbox=plate)
-
-
-def plot_track_map(
-    rig: CameraRig,
-    tracks: Tracks | None,
-    truth: Tracks | None = None,
-    *,
-    bounds_m: Sequence[Sequence[float]] | None = None,
-) -> bytes:
-    """The room from above: cameras with their viewing direction, paths of the persons, truth dashed.
-
-    tracks, truth : world frame; None or empty draws no path.  bounds_m : lower and upper corner of the room.
-    White dots on a path: the person was out of sight there.
-    """
-    figure, (ax,) = new_figure(1, height=5.2, width=7.2)
-    corners = [np.array([camera.center for camera in rig])[:, :2]]
-    for camera in rig:
-        _draw_camera(ax, camera)
-    if bounds_m is not None:
-        (x0, y0), (x1, y1) = (np.asarray(b, dtype=np.float64)[:2] for b in bounds_m)
-        ax.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color="#8a939e", lw=1.2, label="room")
-        corners.append(np.array([[x0, y0], [x1, y1]]))
-    corners += _draw_table(ax, tracks, is_truth=False) + _draw_table(ax, truth, is_truth=True)
-    everything = np.vstack(corners)
-    lower, upper = everything.min(axis=0) - 0.7, everything.max(axis=0) + 0.7
-    ax.set_xlim(lower[0], upper[0])
-    ax.set_ylim(lower[1], upper[1])
-    ax.set_aspect("equal")
-    title = ""
-    if tracks is not None and len(tracks):
-        title = "Seen from above; circle = start, diamond = end,\nwhite dots = out of sight"
-    finish(ax, title, "x (m)", "y (m)", grid="both", legend=True)
-    return png(figure)
-
-
-def _draw_camera(ax: Any, camera: Camera) -> None:
-    """A square with the directions of the left and right edge of the picture."""
-    w, h = camera.size
-    edge = camera.rays(np.array([[0.0, h / 2], [w - 1.0, h / 2]]))[:, :2]
-    edge = 0.6 * edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-9)
-    corner = camera.center[:2]
-    wedge = np.vstack([corner, corner + edge[0], corner + edge[1]])
-    ax.fill(wedge[:, 0], wedge[:, 1], facecolor="#aab4bf", alpha=0.45, lw=0)
-    ax.plot(*corner, "s", color=INK, ms=5)
-    note(ax, camera.name, corner, (5, 5))
-
-
-def _draw_table(ax: Any, table: Tracks | None, *, is_truth: bool) -> list[Array]:
-    """The paths of all persons of a table; gives their known points."""
-    if table is None:
-        return []
-    return [
-        p for person in table.persons for p in _draw_paths(ax, person, table.paths(person), is_truth=is_truth)
-    ]
-
-
-def _draw_paths(ax: Any, person: int, pieces: Sequence[Tracks], *, is_truth: bool) -> list[Array]:
-    """The path of a person in the plane, piece by piece; gives the known points (T, 2) of each."""
-    colour = INK if is_truth else hex_colour(person_colour(person))
-    label: str | None = f"{'truth' if is_truth else 'person'} {person}"
-    points = []
-    for piece in pieces:
-        path = piece.xyz[:, :2]
-        ax.plot(
-            path[:, 0],
-            path[:, 1],
-            "--" if is_truth else "-",
-            color=colour,
-            lw=1.0 if is_truth else 2.2,
-            label=label,
-        )
-        label = None  # one entry in the legend, also of who comes back
-        if not is_truth:
-            _mark_path(ax, piece, colour)
-        points.append(path[np.isfinite(path).all(axis=1)])
-    return points
-
-
-def _mark_path(ax: Any, piece: Tracks, colour: str) -> None:
-    """Where a path begins and ends, and where the person was out of sight."""
-    path = piece.xyz[:, :2]
-    ax.plot(*path[0], "o", color=colour, mec=INK, ms=7)
-    ax.plot(*path[-1], "D", color=colour, mec=INK, ms=6)
-    if piece.observed is not None and not piece.observed.all():
-        hidden = np.where(piece.observed[:, None], np.nan, path)
-        ax.plot(hidden[:, 0], hidden[:, 1], ".", color="white", ms=3, zorder=5)
 
 
 def _row_statistic(errors: Array, statistic: Any) -> Array:

@@ -1,6 +1,6 @@
 """The report of a run: one HTML file that stands alone.
 
-Everything is embedded: pictures as JPEG, plots as PNG, a few lines of style and script. Nothing is loaded from
+Everything is embedded: pictures as JPEG, plots as SVG, a few lines of style and script. Nothing is loaded from
 anywhere (a content security policy inside the file forbids it), so the file can be mailed and opened in ten
 years. It is written for a person who knows neither this program nor its documentation.
 """

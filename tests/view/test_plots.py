@@ -7,13 +7,11 @@ import sys
 
 import cv2
 import numpy as np
-import view_world as world
 
-from mocap.data import LANDMARKS, Tracks
+from mocap.data import LANDMARKS
 from mocap.view.plots import (
     plot_error_over_time,
     plot_landmark_errors,
-    plot_track_map,
 )
 
 T = 23
@@ -26,13 +24,6 @@ def decoded(png: bytes) -> np.ndarray:
     assert min(image.shape[:2]) > 100
     assert image.std() > 5  # a blank figure has next to none
     return image
-
-
-def some_tracks() -> Tracks:
-    frame = np.repeat(np.arange(T), 2)
-    person = np.tile([1, 2], T)
-    xyz = np.column_stack([np.sin(frame / 9 + person), np.cos(frame / 7), np.ones(2 * T)])
-    return Tracks(frame, person, frame / 30, xyz)
 
 
 def test_errors_over_time_survive_missing_values():
@@ -51,15 +42,6 @@ def test_landmark_bars():
     decoded(plot_landmark_errors(means, dict.fromkeys(LANDMARKS, 12.0)))
     decoded(plot_landmark_errors({**means, "head": float("nan")}))
     decoded(plot_landmark_errors({}))
-
-
-def test_track_map_with_and_without_paths():
-    bounds = ((-2.0, -1.5, 0.0), (2.0, 1.5, 2.2))
-    with_paths = plot_track_map(world.rig(), some_tracks(), some_tracks(), bounds_m=bounds)
-    decoded(with_paths)
-    none = Tracks(np.zeros(0, int), np.zeros(0, int), np.zeros(0), np.zeros((0, 3)))
-    assert plot_track_map(world.rig(), none) != with_paths
-    decoded(plot_track_map(world.rig(), None))
 
 
 def test_same_data_gives_the_same_bytes():
