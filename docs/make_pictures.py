@@ -50,7 +50,7 @@ from mocap.view import (
     draw_mask,
     draw_skeleton,
     person_window,
-    plot_track_map,
+    track_map_svg,
 )
 from mocap.volume import Carver, colour_hull, surface_voxels
 from mocap.volume.residuals import reproject
@@ -183,7 +183,7 @@ def volume(demo: Demo) -> Image:
 
 def tracking(demo: Demo) -> bytes:
     """Paths from above."""
-    return plot_track_map(
+    return track_map_svg(
         demo.session.rig,
         read_tracks_csv(demo.root / "result" / "tracks.csv"),
         read_tracks_csv(demo.root / "session" / "truth" / "tracks.csv"),
@@ -468,6 +468,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in options.only or makers:
         made = makers[name]()
         data, suffix = (made, "png") if isinstance(made, bytes) else (jpeg(made), "jpg")
+        suffix = "svg" if data.startswith(b"<svg") else suffix
         (options.out / f"{name}.{suffix}").write_bytes(data)
         print(f"{name}.{suffix}: {len(data) / 1000:.0f} kB")
     return 0

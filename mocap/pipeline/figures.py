@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mocap.data import LANDMARKS
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.metrics import point_errors
-from mocap.pipeline.panels import chosen_frames, images_of
+from mocap.pipeline.pictures import chosen_frames
 from mocap.pipeline.record import Found, RunRecord
 from mocap.pipeline.scene_frames import room_bounds
 from mocap.products import hulls as hulls_product
@@ -25,16 +25,20 @@ from mocap.view.html import Section
 from mocap.volume import silhouette_residuals
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
 
 SilhouetteNumbers = dict[str, dict[str, float | None]]
 
 _RESIDUAL_FRAMES = 12  # of which hull and silhouettes are compared
 
 
-def run_figures(found: Found) -> Iterator[Figure]:
-    """Pictures beside the curves: the paths from above, and what can stand in front of people."""
+def run_figures(found: Found, first: Mapping[str, Image]) -> Iterator[Figure]:
+    """Pictures beside the curves: the paths from above, and what can stand in front of people.
+
+    first : camera -> picture of the first frame as filmed.
+    """
     yield _paths(found)
-    yield from _occluders(found)
+    yield from _occluders(found, first)
 
 
 def run_charts(record: RunRecord, found: Found) -> Iterator[tuple[Section, Chart]]:
@@ -90,7 +94,7 @@ def _foreground(found: Found) -> Iterator[Chart]:
     yield on_every_frame(Chart("Foreground by camera", "% of the picture", frames, found.session.fps, curves))
 
 
-def _occluders(found: Found) -> Iterator[Figure]:
+def _occluders(found: Found, first: Mapping[str, Image]) -> Iterator[Figure]:
     from mocap.view import draw_places
 
     if found.hulls is None:
@@ -99,12 +103,10 @@ def _occluders(found: Found) -> Iterator[Figure]:
     occluders = stored_occluders(found.store, rig)
     places = {c.name: occluders.standing_pixels(c) for c in rig if occluders.of(c) is not None}
     if places:
-        ((_, first),) = images_of(found, found.session.frames[:1])
-        pictures = dict(zip(rig.names, first, strict=True))
         yield Figure(
             "What can stand in front of people",
             "Learnt from the silhouettes: of what is behind the tinted places the camera is not asked.",
-            draw_places(pictures, places),
+            draw_places(first, places),
             mime="image/jpeg",
         )
 
@@ -132,11 +134,11 @@ def silhouette_numbers(record: RunRecord, found: Found) -> SilhouetteNumbers:
     hulls, masks = found.store.reader(hulls_product.PRODUCT), found.store.reader(masks_product.PRODUCT)
     grid = grid_from_attrs(hulls.attrs)
     uncovered = []
-    for frame in chosen_frames(found, hulls.frames, _RESIDUAL_FRAMES):
-        hull = hull_from_arrays(grid, hulls.read(int(frame)))
-        silhouettes = masks_from_arrays(masks.read(int(frame)), found.session)
+    for frame in chosen_frames(found, _RESIDUAL_FRAMES):
+        hull = hull_from_arrays(grid, hulls.read(frame))
+        silhouettes = masks_from_arrays(masks.read(frame), found.session)
         if len(hull):
-            rig = found.session.rig_at(int(frame))
+            rig = found.session.rig_at(frame)
             uncovered.append(silhouette_residuals(hull, silhouettes, rig).uncovered)
     for c, name in enumerate(found.session.rig.names):
         known = [float(row[c]) for row in uncovered if np.isfinite(row[c])]

@@ -19,6 +19,7 @@ from mocap.pipeline.lock import sole_use
 from mocap.pipeline.outside import check_outside
 from mocap.pipeline.overlay_video import overlay_videos
 from mocap.pipeline.particles import particle_layers
+from mocap.pipeline.pictures import read_pictures
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, record_from_json
 from mocap.pipeline.report_data import write_run_report
 from mocap.pipeline.resolution import at_useful_size
@@ -84,7 +85,8 @@ def rewrite_scene(
         run = open_run(out, session)
         check_cameras(run.found, pictures, "--pictures")
         layers_of = None if particles is None else particle_layers(run, particles)
-        write_scene(run.found, target, pictures=pictures, layers_of=layers_of)
+        shown = read_pictures(run.found, scene=pictures).scene
+        write_scene(run.found, target, pictures=lambda: shown, layers_of=layers_of)
     return target
 
 

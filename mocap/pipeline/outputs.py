@@ -32,6 +32,7 @@ from mocap.io.formats import (
 from mocap.io.formats.opensim import write_ik_setup, write_marker_set, write_osim, write_scale_setup
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
 from mocap.pipeline.config import Config
+from mocap.pipeline.pictures import RunPictures
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import write_scene
 from mocap.pipeline.tracking import every_frame
@@ -160,8 +161,18 @@ def write_moves_csv(path: Path, gaits: Sequence[Gait], found: Found) -> None:
     atomic_text(path, "\n".join(lines) + "\n")
 
 
-def write_exports(found: Found, config: Config, folder: Path, *, progress: Progress) -> list[str]:
-    """Write into `folder` the exports of every person and the scene; gives what was left out, and why."""
+def write_exports(
+    found: Found,
+    config: Config,
+    folder: Path,
+    *,
+    pictures: Callable[[], RunPictures],
+    progress: Progress,
+) -> list[str]:
+    """Write into `folder` the exports of every person and the scene; gives what was left out, and why.
+
+    pictures : gives those of the scene, which comes last.
+    """
     output, fps = config.output, found.session.fps
     style = MotionStyle(
         output.bone_names,
@@ -178,7 +189,7 @@ def write_exports(found: Found, config: Config, folder: Path, *, progress: Progr
             if name in output.formats
         ]
     if "rrd" in output.formats:
-        steps.append((folder / "scene.rrd", partial(write_scene, found)))
+        steps.append((folder / "scene.rrd", partial(write_scene, found, pictures=lambda: pictures().scene)))
     left_out = []
     for i, (path, write) in enumerate(steps):
         left_out += written_or_why(path, write)

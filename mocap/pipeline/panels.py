@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Camera, Hull
-from mocap.io.session.reading import pictures_of
 from mocap.pipeline.config import OutputConfig
+from mocap.pipeline.pictures import chosen_frames
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import body_parts, rows_at
 from mocap.pose.result import PersonPoses
@@ -22,46 +22,47 @@ from mocap.products.masks import masks_from_arrays
 from mocap.view import FramePanel
 
 Image = NDArray[np.uint8]
+# Frame -> camera -> picture as filmed.
+Whole = Mapping[int, Mapping[str, Image]]
 
 _PANEL_HEIGHT_PX = 420
 
 
-def frame_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]:
-    """Pictures of a few frames, with what the poses were found from."""
-    return _volume_panels(found, settings) if found.hulls is not None else marker_panels(found, settings)
+def frame_panels(found: Found, settings: OutputConfig, whole: Whole) -> Iterator[FramePanel]:
+    """Pictures of a few frames, with what the poses were found from.  whole : pictures of at least these frames."""
+    panels = _volume_panels if found.hulls is not None else marker_panels
+    return panels(found, settings, whole)
 
 
-def _volume_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]:
+def _volume_panels(found: Found, settings: OutputConfig, whole: Whole) -> Iterator[FramePanel]:
     """Image, silhouette, hull and fitted body."""
     session, store = found.session, found.store
     hulls, masks = store.reader(hulls_product.PRODUCT), store.reader(masks_product.PRODUCT)
     grid = grid_from_attrs(hulls.attrs)
-    for frame, images in images_of(found, chosen_frames(found, hulls.frames, settings.report_frames)):
-        hull = hull_from_arrays(grid, hulls.read(int(frame)))
-        mask = masks_from_arrays(masks.read(int(frame)), session)
-        rows = rows_at(found.poses, int(frame))
-        rig = session.rig_at(int(frame))
+    for frame in chosen_frames(found, settings.report_frames):
+        hull = hull_from_arrays(grid, hulls.read(frame))
+        mask = masks_from_arrays(masks.read(frame), session)
+        rows = rows_at(found.poses, frame)
+        rig = session.rig_at(frame)
         for c in _chosen_cameras(found, settings):
-            yield FramePanel(
-                frame=int(frame),
-                title=f"{rig[c].name}",
-                images=tuple(_views(rig[c], images[c], mask[c], hull, rows)),
-            )
+            name = rig[c].name
+            images = tuple(_views(rig[c], whole[frame][name], mask[c], hull, rows))
+            yield FramePanel(frame=frame, title=name, images=images)
 
 
-def marker_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]:
+def marker_panels(found: Found, settings: OutputConfig, whole: Whole) -> Iterator[FramePanel]:
     """Pictures of a few frames: image, detections and fitted body in a few cameras."""
     from mocap.view import crop, draw_body, draw_skeleton, person_window
     from mocap.view.detections import draw_detections
 
     session = found.session
-    frames = np.array(session.frames, dtype=np.int64)
-    for frame, images in images_of(found, chosen_frames(found, frames, settings.report_frames)):
+    for frame in chosen_frames(found, settings.report_frames):
         read = keypoints_at if found.kind == "keypoints" else detections_at
-        detections = read(found.store, session, int(frame))
-        rows = rows_at(found.poses, int(frame))
+        detections = read(found.store, session, frame)
+        rows = rows_at(found.poses, frame)
         for c in _chosen_cameras(found, settings):
-            camera, image = session.rig[c], images[c]
+            camera = session.rig[c]
+            image = whole[frame][camera.name]
             points = [p.landmarks[i] for p, i in rows]
             window = person_window(camera, np.concatenate(points)) if points else (0, 0, *camera.size)
             scale = _PANEL_HEIGHT_PX / max(1, window[3] - window[1])
@@ -78,7 +79,7 @@ def marker_panels(found: Found, settings: OutputConfig) -> Iterator[FramePanel]:
                 ("skeleton and detections", skeleton),
             )
             yield FramePanel(
-                frame=int(frame),
+                frame=frame,
                 title=camera.name,
                 images=tuple((label, crop(picture, window, scale=scale)) for label, picture in views),
             )
@@ -110,28 +111,8 @@ def _views(
         yield label, crop(picture, window, scale=scale)
 
 
-def images_of(
-    found: Found, frames: Sequence[int] | NDArray[np.int64]
-) -> Iterator[tuple[int, tuple[Image, ...]]]:
-    """Ascending frames with their pictures, read in one go; grey ones when the session has only masks."""
-    session, numbers = found.session, [int(frame) for frame in frames]
-    if not session.image_sources:
-        grey = tuple(np.full((c.size[1], c.size[0], 3), 90, dtype=np.uint8) for c in session.rig)
-        yield from ((frame, grey) for frame in numbers)
-        return
-    with pictures_of(session, numbers) as reader:
-        yield from reader
-
-
 def _chosen_cameras(found: Found, settings: OutputConfig) -> list[int]:
     """Cameras evenly spread over the rig."""
     n = len(found.session.rig)
     step = max(1, -(-n // settings.report_cameras))
     return list(range(0, n, step))[: settings.report_cameras]
-
-
-def chosen_frames(found: Found, frames: NDArray[np.int64], n: int) -> NDArray[np.int64]:
-    """Frames evenly spread over those in which somebody was found, or over the clip."""
-    seen = sorted({int(f) for p in found.poses for f in p.frames})
-    pool = np.array(seen if seen else frames, dtype=np.int64)
-    return pool[np.unique(np.linspace(0, len(pool) - 1, n).round().astype(int))]

@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import AngleSeries, Camera, landmark_names
-from mocap.pipeline.panels import images_of
+from mocap.data import AngleSeries, landmark_names
+from mocap.pipeline.pictures import Sheets
 from mocap.pipeline.record import Found
-from mocap.pipeline.scene_frames import body_parts, room_bounds, rows_at, shown_frames
+from mocap.pipeline.scene_frames import room_bounds, shown_frames
 from mocap.pose.cycles import PERCENT, GaitCycles, cycles_of
 from mocap.pose.method import SmoothSettings
 from mocap.pose.result import PersonPoses
 from mocap.pose.steps import Gait
 from mocap.view.curves import Chart, Curve, on_every_frame
-from mocap.view.overlay import draw_limbs
-from mocap.view.replay import Replay, ReplayPerson, webp
+from mocap.view.replay import Replay, ReplayPerson
 
 Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
-# Of the pictures in the page, as base64: what is left of 5 MB for ten seconds after scene, curves and plots.
-PICTURE_BYTES = 3_200_000
-# (width px, quality) of a camera's picture; the first whose pictures of all frames fit is taken, and of the last one as
-# many frames as fit.
-_SIZES = ((160, 40), (144, 35), (128, 30), (112, 25))
-# Frames that tell the size, near the beginning: to read on would be to decode the clips twice.
-_SAMPLES = (0, 7, 14)
-_BASE64 = 4.0 / 3.0
 # Speed is measured over so long: shorter spans show the trembling of the poses.
 _SPEED_SPAN_S = 0.2
 _SIDES = ("left", "right")
@@ -51,32 +39,19 @@ _CHARTS = (
 _MIDDLE_CHARTS = (("Trunk flexion", "trunk_flexion"), ("Pelvis tilt", "pelvis_tilt"))
 
 
-def replay_of(found: Found, *, picture_bytes: int = PICTURE_BYTES) -> Replay:
-    """The replay of a run: persons in every shown frame, pictures of every camera as far as they fit.
-
-    picture_bytes : what the pictures may take in the page.
-    """
+def replay_of(found: Found, sheets: Sheets) -> Replay:
+    """The replay of a run: persons in every shown frame, and pictures of every camera."""
     frames = np.array(shown_frames(found.session.frames), dtype=np.int64)
-    camera_rig = found.session.rig
-    replay = Replay(
-        rig=camera_rig,
+    return Replay(
+        rig=found.session.rig,
         fps=found.session.fps,
         frames=frames,
         persons=tuple(ReplayPerson(p.person, _places(p, frames)) for p in found.poses),
         bounds_m=room_bounds(found),
-        picture_frames=np.zeros(0, dtype=np.int64),
-        sheets=(),
-        tiles=(),
+        picture_frames=sheets.frames,
+        sheets=sheets.files,
+        tiles=sheets.tiles,
     )
-    if not found.session.image_sources:
-        return replay
-    width, quality, chosen = _fitting(found, frames, picture_bytes)
-    sheet = _Sheet(camera_rig.cameras, width, quality)
-    sheets = list(_sheets(found, chosen, sheet))
-    while len(sheets) > 1 and _BASE64 * sum(len(s) for s in sheets) > picture_bytes:
-        # Later frames are heavier than the samples were.
-        sheets, chosen = sheets[::2], chosen[::2]
-    return replace(replay, picture_frames=chosen, sheets=tuple(sheets), tiles=sheet.tiles)
 
 
 def _places(poses: PersonPoses, frames: NDArray[np.int64]) -> Array:
@@ -85,59 +60,6 @@ def _places(poses: PersonPoses, frames: NDArray[np.int64]) -> Array:
     _, rows, own = np.intersect1d(frames, poses.frames, return_indices=True)
     out[rows] = poses.landmarks[own]
     return out
-
-
-class _Sheet:
-    """Small pictures of all cameras side by side in one file, with the bodies drawn in."""
-
-    def __init__(self, cameras: Sequence[Camera], width: int, quality: int) -> None:
-        self.quality = quality
-        self.cameras = tuple(_scaled(camera, width) for camera in cameras)
-        n_columns = int(np.ceil(np.sqrt(len(cameras))))
-        height = max(camera.size[1] for camera in self.cameras)
-        self.tiles = tuple(
-            ((i % n_columns) * width, (i // n_columns) * height, *camera.size)
-            for i, camera in enumerate(self.cameras)
-        )
-        self.size = (n_columns * width, -(-len(cameras) // n_columns) * height)
-
-    def picture(self, images: Sequence[Image], rows: Sequence[tuple[PersonPoses, int]]) -> bytes:
-        """The file of one frame.  images : of the cameras, as filmed."""
-        parts = [part for p, i in rows for part in body_parts(p.body, p.states[i])]
-        sheet = np.zeros((self.size[1], self.size[0], 3), dtype=np.uint8)
-        for image, camera, (x, y, w, h) in zip(images, self.cameras, self.tiles, strict=True):
-            small = np.asarray(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-            sheet[y : y + h, x : x + w] = draw_limbs(small, camera, parts)
-        return webp(sheet, self.quality)
-
-
-def _scaled(camera: Camera, width: int) -> Camera:
-    """The camera of a picture that was scaled to a width."""
-    w, h = camera.size
-    size = (width, max(1, round(h * width / w)))
-    K = camera.K.copy()
-    for axis, (new, old) in enumerate(zip(size, (w, h), strict=True)):
-        K[axis] *= new / old
-        K[axis, 2] += 0.5 * new / old - 0.5
-    return replace(camera, K=K, size=size)
-
-
-def _sheets(found: Found, frames: NDArray[np.int64], sheet: _Sheet) -> Iterator[bytes]:
-    for frame, images in images_of(found, frames):
-        yield sheet.picture(images, rows_at(found.poses, frame))
-
-
-def _fitting(found: Found, frames: NDArray[np.int64], limit: int) -> tuple[int, int, NDArray[np.int64]]:
-    """Width, quality and frames of the pictures, so that they stay below `limit` bytes in the page."""
-    samples = frames[[i for i in _SAMPLES if i < len(frames)]]
-    read = [(frame, images) for frame, images in images_of(found, samples)]
-    for width, quality in _SIZES:
-        sheet = _Sheet(found.session.rig.cameras, width, quality)
-        sizes = [len(sheet.picture(images, rows_at(found.poses, frame))) for frame, images in read]
-        each = _BASE64 * float(np.mean(sizes)) * 1.1
-        if each * len(frames) <= limit:
-            return width, quality, frames
-    return width, quality, frames[:: max(1, int(np.ceil(each * len(frames) / limit)))]
 
 
 def charts_of(poses: PersonPoses, angles: AngleSeries, fps: float, gait: Gait) -> list[Chart]:

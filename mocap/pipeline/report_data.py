@@ -10,6 +10,7 @@ from pathlib import Path
 from mocap.pipeline.edits.model import EDITS_FILE
 from mocap.pipeline.figures import run_charts, run_figures, silhouette_numbers
 from mocap.pipeline.panels import frame_panels
+from mocap.pipeline.pictures import RunPictures, read_pictures
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, printable
 from mocap.pipeline.replay import charts_of, person_summary, replay_of
 from mocap.pose.angles import angles_of
@@ -44,13 +45,13 @@ def write_run_report(result: RunResult, path: Path, gathered: ReportData | None 
 
     gathered : what `gather_report` gave earlier, None = gather it now.
     """
-    data = gathered or gather_report(result)
+    data = gathered or gather_report(result, read_pictures(result.found, report=result.record.config.output))
     names = {"run.json", result.found.store.path.name, *(p.name for p in path.parent.iterdir())}
     names |= {EDITS_FILE} if result.record.config.edits else set()
     write_report(path, replace(data, warnings=result.record.warnings, outputs=tuple(_output_words(names))))
 
 
-def gather_report(result: RunResult) -> ReportData:
+def gather_report(result: RunResult, pictures: RunPictures) -> ReportData:
     """All that the report shows but what is known last: the warnings, and which files there are."""
     record, found = result.record, result.found
     session = found.session
@@ -72,15 +73,15 @@ def gather_report(result: RunResult) -> ReportData:
             for stage, seconds in record.timings_s.items()
             if stage != OUTPUTS
         },
-        figures=tuple(run_figures(found)),
+        figures=tuple(run_figures(found, pictures.whole[session.frames.start])),
         charts=tuple(run_charts(record, found)),
-        frames=tuple(frame_panels(found, record.config.output)),
+        frames=tuple(frame_panels(found, record.config.output, pictures.whole)),
         command=record.command
         or printable(f"mocap run {session.name} -o {result.out.name} --seed {record.seed}"),
         config_text=json.dumps(record.config.model_dump(mode="json"), indent=1),
         versions=dict(record.versions),
         silhouettes=silhouette_numbers(record, found),
-        replay=replay_of(found) if n else None,
+        replay=replay_of(found, pictures.sheets) if n else None,
         people=tuple(_people(record, found)),
         places=tuple(_places(record, found)),
     )

@@ -26,6 +26,7 @@ from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.keys import stage_keys
 from mocap.pipeline.lock import sole_use
 from mocap.pipeline.outputs import write_exports, write_tables, written_or_why
+from mocap.pipeline.pictures import read_pictures
 from mocap.pipeline.publish import RUN_FILE, outputs_in, published
 from mocap.pipeline.reach import code_hash
 from mocap.pipeline.record import (
@@ -194,10 +195,18 @@ def publish_run(
 
 def _written(record: RunRecord, job: Job, found: Found, folder: Path, out: Path) -> RunRecord:
     """Exports and report in a folder, the latter gathered beside the former; the record with what failed of them."""
+    output, result = job.config.output, RunResult(record, out, found)
+    with_report = "report" in output.formats
     with ThreadPoolExecutor(1) if job.n_threads > 1 else AtOnce() as beside:
-        with_report = "report" in job.config.output.formats
-        gathered = beside.submit(gather_report, RunResult(record, out, found)) if with_report else None
-        left_out = write_exports(found, job.config, folder, progress=job.progress)
+        read = beside.submit(
+            read_pictures,
+            found,
+            report=output if with_report else None,
+            scene=None if "rrd" in output.formats else (),
+            n_threads=job.n_threads,
+        )
+        gathered = beside.submit(lambda: gather_report(result, read.result())) if with_report else None
+        left_out = write_exports(found, job.config, folder, pictures=read.result, progress=job.progress)
     record = _warning(record, left_out)
     if gathered is None:
         return record

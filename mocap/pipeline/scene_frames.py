@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, cones_of
-from mocap.io.session.reading import pictures_of
 from mocap.pipeline.record import Found
 from mocap.pose.result import PersonPoses
 from mocap.products.hulls import PRODUCT, hull_at, stored_grid
-from mocap.view import BodyPart
+from mocap.view.overlay import BodyPart, Side
 from mocap.volume import choose_grid
 
 if TYPE_CHECKING:
-    from mocap.view import SceneFrame
+    from mocap.view import CodedPictures, SceneFrame
 
 Array = NDArray[np.float64]
 # frame -> person -> points (K, 3) m of every layer.
@@ -35,13 +33,21 @@ _MOST_FRAMES = 3000
 def body_parts(body: Body, state: Array) -> list[BodyPart]:
     """The flesh of a pose, part by part, as the views draw it.  state : (D,)."""
     start, end = cones_of(body, state)
-    radii = body.cones.radii
-    parts = []
-    for p, (name, side) in enumerate(zip(body.layout.parts, body.part_sides, strict=True)):
-        rows = np.flatnonzero(body.cones.part == p)
-        cones = tuple((start[k], end[k], float(radii[k, 0]), float(radii[k, 1])) for k in rows)
-        parts.append(BodyPart(name=name, side=side, cones=cones))
-    return parts
+    return [
+        BodyPart(name=name, side=side, cones=tuple((start[k], end[k], r0, r1) for k, r0, r1 in cones))
+        for name, side, cones in _flesh_of(body)
+    ]
+
+
+@cache
+def _flesh_of(body: Body) -> list[tuple[str, Side, list[tuple[int, float, float]]]]:
+    """Name and side of every part, and its cones: their places in the body, and their radii, m."""
+    radii = body.cones.radii.tolist()
+    own = [np.flatnonzero(body.cones.part == p).tolist() for p in range(body.layout.n_parts)]
+    return [
+        (name, side, [(k, *radii[k]) for k in rows])
+        for name, side, rows in zip(body.layout.parts, body.part_sides, own, strict=True)
+    ]
 
 
 def rows_at(poses: Sequence[PersonPoses], frame: int) -> list[tuple[PersonPoses, int]]:
@@ -58,13 +64,13 @@ def write_scene(
     found: Found,
     path: Path,
     *,
-    pictures: Sequence[str] | None = None,
+    pictures: Callable[[], Iterable[CodedPictures]] = tuple,
     layers_of: LayersOf | None = None,
 ) -> None:
     """scene.rrd: cameras, images, coloured voxels and bodies on a time line.
 
-    pictures : cameras whose pictures are kept, None = all.  layers_of : frame -> the filter's particles, as
-    `SceneFrame` has them; None = they are not shown.
+    pictures : gives those that are shown, when all else is in the scene.  layers_of : frame -> the filter's particles,
+    as `SceneFrame` has them; None = they are not shown.
     """
     from mocap.view import write_rrd
 
@@ -72,7 +78,8 @@ def write_scene(
     write_rrd(
         path,
         session.rig,
-        scene_frames(found, pictures, layers_of or (lambda frame: {})),
+        scene_frames(found, layers_of or (lambda frame: {})),
+        pictures=pictures,
         tracks=found.tracks,
         bounds_m=room_bounds(found),
         n_frames=len(shown_frames(session.frames)),
@@ -84,36 +91,22 @@ def shown_frames(frames: range) -> range:
     return frames[:: -(-len(frames) // _MOST_FRAMES) or 1]
 
 
-def scene_frames(
-    found: Found, kept: Sequence[str] | None = None, layers_of: LayersOf = lambda frame: {}
-) -> Iterator[SceneFrame]:
-    """The frames that are shown, in order, with pictures, hull and bodies; every product is opened once.
-
-    kept : cameras whose pictures are shown, None = all; the clips of others are not read.
-    """
+def scene_frames(found: Found, layers_of: LayersOf = lambda frame: {}) -> Iterator[SceneFrame]:
+    """The frames that are shown, in order, with hull and bodies; the hulls are opened once."""
     from mocap.view import SceneFrame
 
     session = found.session
-    frames = shown_frames(session.frames)
-    with ExitStack() as stack:
-        pictures = hull_of = None
-        names = tuple(name for name in session.rig.names if kept is None or name in kept)
-        if session.image_sources and names:
-            pictures = iter(stack.enter_context(pictures_of(session, frames, names)))
-        if found.hulls is not None:
-            hull_of = partial(hull_at, found.hulls.reader(PRODUCT))
-        for frame in frames:
-            rows = rows_at(found.poses, frame)
-            images = next(pictures)[1] if pictures is not None else None
-            yield SceneFrame(
-                frame=frame,
-                time_s=frame / session.fps,
-                images=dict(zip(names, images, strict=True)) if images else None,
-                hull=None if hull_of is None else hull_of(frame),
-                persons={p.person: p.landmarks[i] for p, i in rows},
-                parts={p.person: body_parts(p.body, p.states[i]) for p, i in rows},
-                layers=layers_of(frame),
-            )
+    hull_of = None if found.hulls is None else partial(hull_at, found.hulls.reader(PRODUCT))
+    for frame in shown_frames(session.frames):
+        rows = rows_at(found.poses, frame)
+        yield SceneFrame(
+            frame=frame,
+            time_s=frame / session.fps,
+            hull=None if hull_of is None else hull_of(frame),
+            persons={p.person: p.landmarks[i] for p, i in rows},
+            parts={p.person: body_parts(p.body, p.states[i]) for p, i in rows},
+            layers=layers_of(frame),
+        )
 
 
 def room_bounds(found: Found) -> Bounds:

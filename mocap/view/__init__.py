@@ -21,19 +21,21 @@ from mocap.view.plots import (
     plot_landmark_errors,
 )
 from mocap.view.report import REPORT_SCORES, FramePanel, PersonPage, Place, ReportData, write_report
-from mocap.view.scene import SceneFrame, write_rrd
+from mocap.view.scene import CodedPictures, SceneFrame, ScenePictures, write_rrd
 from mocap.view.track_map import track_map_svg
 
 __all__ = [
     "REPORT_SCORES",
     "SIDE_COLOURS",
     "BodyPart",
+    "CodedPictures",
     "Figure",
     "FramePanel",
     "PersonPage",
     "Place",
     "ReportData",
     "SceneFrame",
+    "ScenePictures",
     "contact_sheet",
     "crop",
     "draw_body",

@@ -7,7 +7,7 @@ no viewer opens and nothing is sent anywhere.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import length_hint
 from pathlib import Path
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from mocap.data import Camera, CameraRig, Hull, Tracks, bones_between, landmark_names
 from mocap.errors import MissingExtra, MocapError
-from mocap.threads import in_parallel
 from mocap.view.overlay import SIDE_COLOURS, BodyPart, person_colour, side_of_landmark
 
 Array = NDArray[np.float64]
@@ -36,7 +35,6 @@ _IMAGE_SHARE = 0.6  # of what is left after the persons; the rest is for voxels
 _MIN_VOXELS = 400
 _MAX_VOXELS = 20_000
 _DEFAULT_FRAMES = 300
-_THREADS = 2  # that code pictures
 _IMAGE_PLANE_M = 0.45
 _FIRST_LAYER, _LAST_LAYER = (70, 120, 230), (240, 120, 30)
 _PARTICLE_M = 0.006
@@ -44,20 +42,28 @@ _PARTICLE_M = 0.006
 
 @dataclass(frozen=True, eq=False)
 class SceneFrame:
-    """What is shown of one frame.
+    """What is shown of one frame, but for its pictures.
 
-    images : camera name -> (H, W, 3) uint8 RGB as filmed, or None.  hull : world frame, or None.
-    persons : person -> landmarks (M, 3) m, world, NaN = unknown.  parts : person -> fitted body parts.
+    hull : world frame, or None.  persons : person -> landmarks (M, 3) m, world, NaN = unknown.
+    parts : person -> fitted body parts.
     layers : person -> points (K, 3) m of the particles of every layer of the filter, first to last.
     """
 
     frame: int
     time_s: float
-    images: Mapping[str, Image] | None = None
     hull: Hull | None = None
     persons: Mapping[int, Array] = field(default_factory=dict)
     parts: Mapping[int, Sequence[BodyPart]] = field(default_factory=dict)
     layers: Mapping[int, Sequence[Array]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CodedPictures:
+    """The pictures of one frame.  files : camera name -> JPEG file, as `ScenePictures` codes it."""
+
+    frame: int
+    time_s: float
+    files: Mapping[str, bytes]
 
 
 def write_rrd(
@@ -65,26 +71,25 @@ def write_rrd(
     rig: CameraRig,
     frames: Iterable[SceneFrame],
     *,
+    pictures: Callable[[], Iterable[CodedPictures]] = tuple,
     tracks: Tracks | None = None,
     bounds_m: Sequence[Sequence[float]] | None = None,
     n_frames: int | None = None,
-    image_width: int = IMAGE_WIDTH,
     max_bytes: int = MAX_BYTES,
 ) -> None:
     """Write a recording (.rrd) that the Rerun viewer opens; frames are taken one at a time.
 
-    frames : ascending; none at all give the cameras alone.  tracks : paths of the persons.  bounds_m : room.
-    n_frames : how many frames will come, if known: voxels and images are thinned so that the file stays below
-    max_bytes. Images are undistorted, because the viewer's camera model is the pinhole; those of fisheye
-    cameras keep what a pinhole of the same matrix can show.
+    frames : ascending; none at all give the cameras alone.  pictures : gives those that are shown, once all else is
+    written: they may still be in the making.  tracks : paths of the persons.  bounds_m : room.  n_frames : how many
+    frames will come, if known: voxels are thinned so that the file stays below max_bytes, as `ScenePictures` does it
+    with pictures.
     Raises MocapError when rerun-sdk is not installed or the file cannot be written.
     """
     rr = _import_rerun(path)
     target = Path(path)
     part = target.with_name(target.name + ".part")
     count = n_frames or length_hint(frames, 0) or _DEFAULT_FRAMES
-    lenses = {camera.name: _Lens.of(camera, image_width) for camera in rig}
-    budget = _Budget(max_bytes, count)
+    budget = _HullBudget(max_bytes, count)
     # At most max_bytes are collected in memory and written by us: rerun's own file sink waits for ever when the disk
     # is full.
     stream = rr.RecordingStream("mocap", recording_id=target.stem, send_properties=False)
@@ -93,17 +98,17 @@ def write_rrd(
     try:
         part.write_bytes(b"")  # an unwritable folder is noticed before the work
         try:
-            _log_static(rr, stream, rig, lenses, tracks, bounds_m)
+            _log_static(rr, stream, rig, tracks, bounds_m)
             shown: set[int] = set()
             has_layers = False
             for item in frames:
-                stream.set_time(TIMELINE, sequence=int(item.frame))
-                stream.set_time("time", duration=float(item.time_s))
+                _set_time(stream, item)
                 _log_persons(rr, stream, item, shown)
-                budget.spend_on_persons(len(item.persons))
                 has_layers = _log_layers(rr, stream, item, has_layers)
                 _log_hull(rr, stream, item.hull, budget)
-                _log_images(rr, stream, item, lenses, budget)
+            for coded in pictures():
+                _set_time(stream, coded)
+                _log_pictures(rr, stream, rig, coded)
             part.write_bytes(sink.read() or b"")
         finally:
             stream.disconnect()
@@ -119,73 +124,118 @@ def write_rrd(
             part.unlink()
 
 
-class _Budget:
-    """How many bytes the heavy parts may still take, so that a long session does not make a huge file."""
+def _set_time(stream: Any, item: SceneFrame | CodedPictures) -> None:
+    stream.set_time(TIMELINE, sequence=int(item.frame))
+    stream.set_time("time", duration=float(item.time_s))
+
+
+def _rest(max_bytes: int, n_frames: int) -> float:
+    """Bytes that bodies leave for pictures and voxels; bodies are always written."""
+    return max(0.15 * max_bytes, max_bytes - 1.5 * _BYTES_PER_PERSON * n_frames)
+
+
+class _HullBudget:
+    """How many bytes the voxels may still take, so that a long session does not make a huge file."""
 
     def __init__(self, max_bytes: int, n_frames: int) -> None:
-        rest = max(0.15 * max_bytes, max_bytes - 1.5 * _BYTES_PER_PERSON * n_frames)
-        self.n_frames = n_frames
-        self.images_left = _IMAGE_SHARE * rest
-        self.hull_left = (1 - _IMAGE_SHARE) * rest
-        self.persons_over = 0
-        self.image_stride = 0
-        self.seen = 0
-        voxels = self.hull_left / n_frames / _BYTES_PER_VOXEL
+        self._left = (1 - _IMAGE_SHARE) * _rest(max_bytes, n_frames)
+        voxels = self._left / n_frames / _BYTES_PER_VOXEL
         self.voxels_per_frame = int(np.clip(voxels, _MIN_VOXELS, _MAX_VOXELS))
 
-    def spend_on_persons(self, n_persons: int) -> None:
-        """Bodies are always written; more than one takes its bytes from the images."""
-        self.images_left -= max(0, n_persons - 1) * _BYTES_PER_PERSON
-
-    def takes_hull(self, n_voxels: int) -> bool:
+    def takes(self, n_voxels: int) -> bool:
         cost = n_voxels * _BYTES_PER_VOXEL
-        if cost > self.hull_left:
+        if cost > self._left:
             return False
-        self.hull_left -= cost
+        self._left -= cost
         return True
 
-    def takes_images(self, cost: int) -> bool:
-        """Whether this frame's images fit; the stride is set by what the first ones cost."""
-        if self.image_stride == 0:
-            self.image_stride = max(1, int(np.ceil(cost * self.n_frames / max(self.images_left, 1.0))))
-        if cost > self.images_left:
-            return False
-        self.images_left -= cost
-        return True
 
-    def is_image_turn(self) -> bool:
-        self.seen += 1
-        return self.image_stride == 0 or (self.seen - 1) % self.image_stride == 0
+class ScenePictures:
+    """Codes pictures as the scene shows them, no more than fit: small, and undistorted, because the viewer's camera
+    model is the pinhole; those of fisheye cameras keep what a pinhole of the same matrix can show.
+
+    n_frames : of the scene.  n_others : persons beyond the first, of all frames together; they take their bytes from
+    the pictures.
+    """
+
+    def __init__(
+        self, rig: CameraRig, n_frames: int, *, n_others: int = 0, max_bytes: int = MAX_BYTES
+    ) -> None:
+        self._lenses = {camera.name: _Lens.of(camera, IMAGE_WIDTH) for camera in rig}
+        self._n_frames = n_frames
+        self._left = _IMAGE_SHARE * _rest(max_bytes, n_frames) - n_others * _BYTES_PER_PERSON
+
+    def stride(self, pictures: Mapping[str, Image]) -> int:
+        """How many frames one with pictures stands for, by what those of one frame take."""
+        cost = sum(len(file) for file in self._coded(pictures).values())
+        return max(1, int(np.ceil(cost * self._n_frames / max(self._left, 1.0))))
+
+    def fitting(self, pictures: Mapping[str, Image]) -> dict[str, bytes] | None:
+        """The files of one frame, or None when there is no more room for them.
+
+        pictures : camera name -> (H, W, 3) uint8 RGB as filmed.
+        """
+        files = self._coded(pictures)
+        cost = sum(len(file) for file in files.values())
+        if cost > self._left:
+            return None
+        self._left -= cost
+        return files
+
+    def _coded(self, pictures: Mapping[str, Image]) -> dict[str, bytes]:
+        return {name: _jpeg(self._lenses[name].apply(image), name) for name, image in pictures.items()}
+
+
+def _jpeg(image: Image, name: str) -> bytes:
+    quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    ok, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), quality)
+    if not ok:
+        raise ValueError(f"the image of {name!r} cannot be coded as JPEG")
+    return bytes(data.tobytes())
 
 
 @dataclass(frozen=True, eq=False)
-class _Lens:
-    """Maps a camera's picture to the small undistorted one that is shown, and that one's pinhole matrix."""
+class _Pinhole:
+    """The camera of a small undistorted picture, (width, height) px and matrix."""
 
     size: tuple[int, int]
     K: Array
-    map_u: NDArray[np.float32]
-    map_v: NDArray[np.float32]
 
     @classmethod
-    def of(cls, camera: Camera, width: int) -> _Lens:
+    def of(cls, camera: Camera, width: int) -> _Pinhole:
         w, h = camera.size
         scale = min(1.0, width / w)
         size = (max(1, round(w * scale)), max(1, round(h * scale)))
         # pixel centres are whole numbers, hence the half pixel around the scaling
         zoom = np.diag([size[0] / w, size[1] / h, 1.0])
         half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
-        K = np.linalg.inv(half) @ zoom @ half @ camera.K
+        return cls(size, np.linalg.inv(half) @ zoom @ half @ camera.K)
+
+
+@dataclass(frozen=True, eq=False)
+class _Lens:
+    """Maps a camera's picture to the small undistorted one that is shown."""
+
+    map_uv: NDArray[np.int16]  # fixed point takes two thirds of the time of floats
+    map_share: NDArray[np.uint16]
+
+    @classmethod
+    def of(cls, camera: Camera, width: int) -> _Lens:
+        shown = _Pinhole.of(camera, width)
         if camera.is_fisheye:
             dist = np.zeros(4)
             dist[: min(4, len(camera.dist))] = camera.dist[:4]
-            maps = cv2.fisheye.initUndistortRectifyMap(camera.K, dist, np.eye(3), K, size, cv2.CV_32FC1)
+            maps = cv2.fisheye.initUndistortRectifyMap(
+                camera.K, dist, np.eye(3), shown.K, shown.size, cv2.CV_32FC1
+            )
         else:
-            maps = cv2.initUndistortRectifyMap(camera.K, camera.dist, np.eye(3), K, size, cv2.CV_32FC1)
-        return cls(size, K, maps[0], maps[1])
+            maps = cv2.initUndistortRectifyMap(
+                camera.K, camera.dist, np.eye(3), shown.K, shown.size, cv2.CV_32FC1
+            )
+        return cls(*cv2.convertMaps(*maps, cv2.CV_16SC2))  # type: ignore[arg-type]
 
     def apply(self, image: Image) -> Image:
-        return np.asarray(cv2.remap(image, self.map_u, self.map_v, cv2.INTER_LINEAR), dtype=np.uint8)
+        return np.asarray(cv2.remap(image, self.map_uv, self.map_share, cv2.INTER_LINEAR), dtype=np.uint8)
 
 
 def _import_rerun(path: Path) -> Any:
@@ -227,7 +277,6 @@ def _log_static(
     rr: Any,
     stream: Any,
     rig: CameraRig,
-    lenses: Mapping[str, _Lens],
     tracks: Tracks | None,
     bounds_m: Sequence[Sequence[float]] | None,
 ) -> None:
@@ -237,7 +286,7 @@ def _log_static(
     )
     stream.log("about", rr.TextDocument(note, media_type="text/markdown"), static=True)
     for camera in rig:
-        _log_camera(rr, stream, camera, lenses[camera.name])
+        _log_camera(rr, stream, camera)
     if bounds_m is not None:
         lower, upper = (np.asarray(b, dtype=np.float64) for b in bounds_m)
         box = rr.Boxes3D(mins=[lower], sizes=[upper - lower], colors=[[140, 148, 158]], radii=[0.004])
@@ -247,13 +296,14 @@ def _log_static(
         _log_tracks(rr, stream, tracks)
 
 
-def _log_camera(rr: Any, stream: Any, camera: Camera, lens: _Lens) -> None:
-    centred = lens.K.copy()
+def _log_camera(rr: Any, stream: Any, camera: Camera) -> None:
+    shown = _Pinhole.of(camera, IMAGE_WIDTH)
+    centred = shown.K.copy()
     centred[:2, 2] += 0.5  # the viewer counts from the corner of the first pixel
     stream.log(
         _camera_path(camera),
         rr.Transform3D(translation=camera.center, mat3x3=camera.R.T),
-        rr.Pinhole(image_from_camera=centred, resolution=lens.size, image_plane_distance=_IMAGE_PLANE_M),
+        rr.Pinhole(image_from_camera=centred, resolution=shown.size, image_plane_distance=_IMAGE_PLANE_M),
         static=True,
     )
 
@@ -348,7 +398,7 @@ def _turn_from_z(direction: Array) -> tuple[float, float, float, float]:
     return (float(q[0]), float(q[1]), float(q[2]), float(q[3]))
 
 
-def _log_hull(rr: Any, stream: Any, hull: Hull | None, budget: _Budget) -> None:
+def _log_hull(rr: Any, stream: Any, hull: Hull | None, budget: _HullBudget) -> None:
     """Surface voxels in their colour; evenly thinned, and then larger, when there are too many."""
     surface = None if hull is None else hull.select(hull.is_surface)
     if surface is None or len(surface) == 0:
@@ -356,7 +406,7 @@ def _log_hull(rr: Any, stream: Any, hull: Hull | None, budget: _Budget) -> None:
         return
     step = max(1, int(np.ceil(len(surface) / budget.voxels_per_frame)))
     chosen = np.arange(0, len(surface), step)
-    if not budget.takes_hull(len(chosen)):
+    if not budget.takes(len(chosen)):
         stream.log("world/hull", rr.Clear(recursive=False))
         return
     rgb = np.where((surface.n_views > 0)[:, None], surface.rgb, np.uint8(150))[chosen]
@@ -364,22 +414,8 @@ def _log_hull(rr: Any, stream: Any, hull: Hull | None, budget: _Budget) -> None:
     stream.log("world/hull", rr.Points3D(surface.centers[chosen], colors=rgb, radii=[radius]))
 
 
-def _log_images(rr: Any, stream: Any, item: SceneFrame, lenses: Mapping[str, _Lens], budget: _Budget) -> None:
-    if not item.images or not budget.is_image_turn():
-        return
-    if unknown := [name for name in item.images if name not in lenses]:
-        raise ValueError(f"frame {item.frame} has an image of {unknown[0]!r}, which is not in the rig")
-
-    def coded_of(named: tuple[str, Image]) -> bytes:
-        name, image = named
-        small = cv2.cvtColor(lenses[name].apply(image), cv2.COLOR_RGB2BGR)
-        ok, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-        if not ok:
-            raise ValueError(f"the image of {name!r} in frame {item.frame} cannot be coded as JPEG")
-        return bytes(data.tobytes())
-
-    contents = in_parallel(coded_of, list(item.images.items()), min(_THREADS, os.cpu_count() or 1))
-    coded = dict(zip(item.images, contents, strict=True))
-    if budget.takes_images(sum(len(content) for content in coded.values())):
-        for name, content in coded.items():
-            stream.log(f"world/cameras/{name}", rr.EncodedImage(contents=content, media_type="image/jpeg"))
+def _log_pictures(rr: Any, stream: Any, rig: CameraRig, coded: CodedPictures) -> None:
+    for name, content in coded.files.items():
+        if name not in rig.names:
+            raise ValueError(f"frame {coded.frame} has an image of {name!r}, which is not in the rig")
+        stream.log(f"world/cameras/{name}", rr.EncodedImage(contents=content, media_type="image/jpeg"))

@@ -165,7 +165,7 @@ def test_a_failed_export_costs_no_other(
     if name == "report":
         monkeypatch.setattr(run, "write_run_report", lambda result, path, gathered: fail(path))
     elif name == "gathering":
-        monkeypatch.setattr(run, "gather_report", lambda result: fail(tmp_path / "elsewhere"))
+        monkeypatch.setattr(run, "gather_report", lambda result, pictures: fail(tmp_path / "elsewhere"))
     else:
         monkeypatch.setattr(outputs, name, fail)
     failed = {"write_bvh": "person_1.bvh", "write_scene": "scene.rrd"}.get(name, "report.html")

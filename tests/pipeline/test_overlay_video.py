@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +14,18 @@ from small_session import CAMERAS, FPS, N_FRAMES, SIZE, read_clip, small_session
 from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.initial import HeightEstimate
 from mocap.errors import MocapError
-from mocap.io.session import open_session
+from mocap.io.session import Session, open_session
+from mocap.io.session.reading import pictures_of
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv
+from mocap.io.video import FrameReader
+from mocap.pipeline import pictures
+from mocap.pipeline.config import OutputConfig
 from mocap.pipeline.finished import check_cameras
 from mocap.pipeline.overlay_video import overlay_videos
+from mocap.pipeline.pictures import read_pictures
 from mocap.pipeline.record import Found
 from mocap.pipeline.replay import charts_of, person_summary, replay_of, speeds_m_s
-from mocap.pipeline.scene_frames import scene_frames
 from mocap.pose.angles import angles_of
 from mocap.pose.contacts import Contacts
 from mocap.pose.method import AngleSettings
@@ -81,7 +86,9 @@ def test_masks_alone_have_no_video(found: Found, tmp_path: Path) -> None:
     bare = replace(found, session=replace(found.session, image_sources={}))
     with pytest.raises(MocapError, match="no pictures"):
         overlay_videos(bare, tmp_path)
-    assert len(replay_of(bare).sheets) == 0
+    shown = read_pictures(bare, report=OutputConfig())
+    assert shown.sheets.files == shown.scene == ()
+    assert {picture.shape for picture in shown.whole[0].values()} == {(SIZE[1], SIZE[0], 3)}
 
 
 def test_a_camera_that_is_not_there_is_named(found: Found) -> None:
@@ -91,13 +98,35 @@ def test_a_camera_that_is_not_there_is_named(found: Found) -> None:
 
 
 def test_the_scene_holds_the_pictures_that_were_asked_for(found: Found) -> None:
-    assert [set(f.images or ()) for f in scene_frames(found, ["cam_2"])] == [{"cam_2"}] * N_FRAMES
-    assert [f.images for f in scene_frames(found, [])] == [None] * N_FRAMES
-    assert set(next(iter(scene_frames(found))).images or ()) == set(CAMERAS)
+    assert [set(coded.files) for coded in read_pictures(found, scene=["cam_2"]).scene] == [
+        {"cam_2"}
+    ] * N_FRAMES
+    assert read_pictures(found, scene=[]).scene == ()
+    every = read_pictures(found, scene=None)
+    assert [(coded.frame, set(coded.files)) for coded in every.scene] == [
+        (frame, set(CAMERAS)) for frame in range(N_FRAMES)
+    ]
+    assert not every.whole, "without a report nothing is kept large"
+
+
+def test_clips_are_read_once_for_report_and_scene(found: Found, monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = [read_pictures(found, report=OutputConfig()), read_pictures(found, scene=None)]
+    read: list[int] = []
+
+    def counted(session: Session, frames: Sequence[int], names: Sequence[str]) -> FrameReader:
+        read.extend(frames)
+        return pictures_of(session, frames, names)
+
+    monkeypatch.setattr(pictures, "pictures_of", counted)
+    both = read_pictures(found, report=OutputConfig(), scene=None, n_threads=2)
+    assert sorted(read) == [0, *range(N_FRAMES)], "the first one twice: it tells how large they may be"
+    assert both.sheets.files == alone[0].sheets.files
+    assert [c.files for c in both.scene] == [c.files for c in alone[1].scene]
+    assert both.whole.keys() == alone[0].whole.keys()
 
 
 def test_the_replay_has_every_frame_and_every_camera(found: Found) -> None:
-    replay = replay_of(found)
+    replay = replay_of(found, read_pictures(found, report=OutputConfig()).sheets)
     assert replay.frames.tolist() == replay.picture_frames.tolist() == list(range(N_FRAMES))
     assert len(replay.tiles) == len(CAMERAS)
     (person,) = replay.persons
@@ -108,12 +137,13 @@ def test_the_replay_has_every_frame_and_every_camera(found: Found) -> None:
 
 
 def test_pictures_get_fewer_when_there_is_little_room(found: Found) -> None:
-    full = replay_of(found)
-    limit = sum(len(s) for s in full.sheets) // 4
-    small = replay_of(found, picture_bytes=limit)
-    assert 1 <= len(small.sheets) < N_FRAMES
-    assert sum(len(s) for s in small.sheets) * 4 / 3 <= limit
-    assert small.frames.tolist() == full.frames.tolist()
+    full = read_pictures(found, report=OutputConfig()).sheets
+    limit = sum(len(s) for s in full.files) // 4
+    small = read_pictures(found, report=OutputConfig(), sheet_bytes=limit).sheets
+    assert 1 <= len(small.files) == len(small.frames) < N_FRAMES
+    assert sum(len(s) for s in small.files) * 4 / 3 <= limit
+    assert small.tiles[0][2] < full.tiles[0][2], "smaller before they get fewer"
+    assert replay_of(found, small).frames.tolist() == list(range(N_FRAMES))
 
 
 def test_speed_and_curves_have_gaps_where_nobody_was(found: Found) -> None:
