@@ -1,4 +1,4 @@
-"""Anatomical angles by published definitions: pelvis, trunk, neck, hips, knees, ankles, shoulders, elbows, wrists.
+"""Anatomical angles by published definitions: pelvis, trunk, neck, hips, knees, ankles, toes, shoulders, elbows, wrists.
 
 A segment frame is parallel to the body's (x forward, y to the person's left, z up) when the person stands upright with
 arms hanging, palms to the thighs and feet pointing forward; x, z and -y are the X, Y and Z of the ISB. A joint angle
@@ -37,6 +37,7 @@ _LIMBS: dict[str, tuple[str, ...]] = {
     "thigh": ("hip",),
     "shank": ("knee",),
     "foot": ("ankle", "subtalar", "foot"),
+    "toes": ("mtp", "toe", "toes"),
 }
 _SIDES = ("left", "right")
 # Limb segments that hang along -z in the standing pose: each takes its direction at rest from its own chain of joints.
@@ -87,6 +88,7 @@ _PAIRED = (
     Joint("hip", "pelvis", "thigh", "ZXY", (("flexion", 1.0), ("adduction", 1.0), ("rotation", 1.0))),
     Joint("knee", "thigh", "shank", "ZXY", (("flexion", -1.0), ("adduction", 1.0), ("rotation", 1.0))),
     Joint("ankle", "shank", "foot", "ZXY", (("dorsiflexion", 1.0), ("inversion", 1.0), ("rotation", 1.0))),
+    Joint("mtp", "foot", "toes", "ZXY", (("extension", 1.0), ("adduction", 1.0), ("rotation", 1.0))),
     # The ISB's sequence for the shoulder has no flexion and is singular in a hanging arm, the other one in an arm
     # that is held out to the side: both are given.
     Joint(

@@ -30,6 +30,7 @@ _SHOWN_BY: dict[str, tuple[str, ...]] = {
     "thigh": ("hip", "knee"),
     "shank": ("knee", "ankle"),
     "foot": ("ankle", "heel", "toe"),
+    "toes": ("toe",),
 }
 # Turns of a limb about its own length show in the bend of the next joint alone.
 _SHOWN_BY_BEND = {

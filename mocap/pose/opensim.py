@@ -38,6 +38,7 @@ _PAIRED = {
     "ankle_dorsiflexion": "ankle_angle",
     "ankle_inversion": "subtalar_angle",
     "ankle_rotation": "ankle_rotation",
+    "mtp_extension": "mtp_angle",
     "shoulder_flexion": "arm_flex",
     "shoulder_adduction": "arm_add",
     "shoulder_rotation": "arm_rot",
@@ -56,7 +57,8 @@ _BODIES = {
     "hand": ("hand", 0.006),
     "thigh": ("femur", 0.100),
     "shank": ("tibia", 0.0465),
-    "foot": ("calcn", 0.0145),
+    "foot": ("calcn", 0.0125),
+    "toes": ("toes", 0.002),
 }
 
 

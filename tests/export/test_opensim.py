@@ -24,7 +24,7 @@ from mocap.pose.result import PersonPoses
 
 FPS = 30.0
 T = 20
-BODY = scale_body(load_body_model("girdle"), 1.75)
+BODY = scale_body(load_body_model("whole"), 1.75)
 
 
 def motion_of_places(places: np.ndarray) -> Motion:
@@ -80,9 +80,13 @@ def test_without_gaps_nothing_changes():
 
 
 def a_walk() -> tuple[PersonPoses, Motion]:
-    """A marching person whose shoulder girdle is at rest, as OpenSim's models have none."""
+    """A marching person who rolls over the feet, and whose shoulder girdle is at rest, as OpenSim's models have none."""
     states = marching(BODY, T, FPS)
     states[:, [i for i, name in enumerate(BODY.layout.names) if "clavicle" in name]] = 0.0
+    for side, phase in (("left", 0.0), ("right", np.pi)):
+        turn = np.sin(2 * np.pi * np.arange(T) / T + phase)
+        for joint, low, high in (("ankle_y", -0.2, 0.3), ("ankle_x", -0.05, 0.05), ("mtp_y", -0.6, 0.0)):
+            states[:, BODY.layout.names.index(f"{side}_{joint}")] = low + (high - low) * (1 + turn) / 2
     places = landmarks_of(BODY, states)
     frames = np.arange(T)
     poses = PersonPoses(
@@ -198,3 +202,4 @@ def test_opensim_finds_our_angles_from_our_markers(tmp_path):
     for name in set(ours) - {"time"}:
         assert theirs[name] == pytest.approx(ours[name], abs=0.002 if "_t" in name[-3:] else 1.0), name
     assert np.ptp(ours["hip_flexion_r"]) > 20.0
+    assert np.ptp(ours["ankle_angle_r"]) > 20.0

@@ -39,6 +39,8 @@ MOVEMENTS = [
     ("right_ankle", "y", 0.3, "right_ankle_dorsiflexion", -0.3),
     ("left_ankle", "x", -0.2, "left_ankle_inversion", 0.2),  # left sole to the right
     ("right_ankle", "x", 0.2, "right_ankle_inversion", 0.2),
+    ("left_toe", "y", -0.3, "left_mtp_extension", 0.3),  # heel off, toes down
+    ("right_toe", "y", -0.3, "right_mtp_extension", 0.3),
     ("spine", "y", 0.4, "trunk_flexion", 0.4),  # forwards
     ("spine", "x", 0.2, "trunk_bending", 0.2),  # to the right
     ("spine", "z", 0.2, "trunk_rotation", 0.2),  # to the left

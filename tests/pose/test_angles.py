@@ -62,6 +62,7 @@ def test_a_body_has_the_angles_that_its_joints_allow() -> None:
         ("left_ankle_y", -0.2, "left_ankle_dorsiflexion", 0.2),  # toes up
         ("right_ankle_y", -0.2, "right_ankle_dorsiflexion", 0.2),
         ("right_ankle_x", 0.2, "right_ankle_inversion", 0.2),  # the sole to the left
+        ("left_mtp_y", -0.2, "left_mtp_extension", 0.2),  # toes up
         (
             "left_wrist_x",
             -0.2,
