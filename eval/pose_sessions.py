@@ -62,8 +62,9 @@ SCORES = (
     "coverage_90_percent",
 )
 SHOWN = tuple(key for key in SCORES if key != "std_error_mm")
+COUNTS = ("seed", "frames", "persons")
 FIELDS = (
-    *("session", "preset", "seed", "frames", "persons"),
+    *("session", "preset", *COUNTS),
     *SCORES,
     *("pose_fps", "total_fps", "peak_memory_mb"),
 )
@@ -121,7 +122,8 @@ def read_csv() -> list[dict[str, Any]]:
         for row in csv.DictReader(stream):
             converted: dict[str, Any] = {}
             for key, text in row.items():
-                converted[key] = text if key in ("session", "preset") else (float(text) if text else None)
+                number = int if key in COUNTS else float
+                converted[key] = text if key in ("session", "preset") else number(text) if text else None
             rows.append(converted)
     return rows
 
@@ -147,7 +149,7 @@ of frames in which a wrist lies more than 150 mm away.
 
 - `reference`: the published annealed particle filter, 6 layers of 600 particles (CF 6.7.2), on the anthropometric
   body. Published on HumanEva-I (CF Table 6.4): mean 121 mm, MMTP 90 mm, MMTA 71.4 %, at 0.15 frames/s.
-- `default`: a body with a shoulder girdle, 4 layers of 200 particles on the fast likelihood, refined on the hull's
+- `default`: a body with feet and hands, 4 layers of 200 particles on the fast likelihood, refined on the hull's
   surface and the outlines of the silhouettes, colours as evidence, limbs searched for in turn, height from poses,
   smoothed over 8 frames.
 - Scenes `*_final` were made after the settings of version 0.1.0 were chosen, `*_test` were held out from every choice
