@@ -1,4 +1,4 @@
-"""Anatomical angles by published definitions: pelvis, trunk, neck, hips, knees, ankles, toes, shoulders, elbows, wrists.
+"""Anatomical angles by published definitions, from the pelvis to toes, wrists and head.
 
 A segment frame is parallel to the body's (x forward, y to the person's left, z up) when the person stands upright with
 arms hanging, palms to the thighs and feet pointing forward; x, z and -y are the X, Y and Z of the ISB. A joint angle

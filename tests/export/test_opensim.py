@@ -80,7 +80,7 @@ def test_without_gaps_nothing_changes():
 
 
 def a_walk() -> tuple[PersonPoses, Motion]:
-    """A marching person who rolls over the feet, and whose shoulder girdle is at rest, as OpenSim's models have none."""
+    """Somebody who marches and rolls over the feet, with a shoulder girdle at rest: OpenSim's models have none."""
     states = marching(BODY, T, FPS)
     states[:, [i for i, name in enumerate(BODY.layout.names) if "clavicle" in name]] = 0.0
     for side, phase in (("left", 0.0), ("right", np.pi)):
