@@ -730,3 +730,28 @@ def adapt_rows(rows, background, mean, threshold, near, protect, age, first, str
             v = m[i] + free[i] * (np.float32(a[i]) - m[i])
             m[i] = v
             b[i] = np.uint8(v + np.float32(0.5))
+
+
+@njit(cache=True, nogil=True)
+def lattice_colours(mask, picture, step, places, colours):
+    """Foreground pixels on a lattice inside the picture, row by row, with the mean of 3 x 3 pixels; their number.
+
+    mask : (H, W) bool.  picture : (H, W, 3) uint8.  places : (N, 2) int16 out, column and row.  colours : (N, 3) uint8
+    out, rounded down.
+    """
+    height, width = mask.shape
+    first = max(1, step // 2)
+    n = 0
+    for v in range(first, height - 1, step):
+        for u in range(first, width - 1, step):
+            if not mask[v, u]:
+                continue
+            places[n, 0], places[n, 1] = u, v
+            for c in range(3):
+                total = np.uint16(0)
+                for y in range(v - 1, v + 2):
+                    for x in range(u - 1, u + 2):
+                        total += np.uint16(picture[y, x, c])
+                colours[n, c] = total // np.uint16(9)
+            n += 1
+    return n

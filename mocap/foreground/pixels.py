@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Mask
 from mocap.data.pixels import SilhouettePixels, lattice_step
+from mocap.foreground import _kernels
 
 
 def sample_silhouettes(
@@ -26,13 +27,14 @@ def sample_silhouettes(
         if pictures is None or (used is not None and not used[c]):
             continue
         step = lattice_step(mask.shape[1])
-        first = max(1, step // 2)
-        row, col = np.nonzero(mask[first:-1:step, first:-1:step])
-        row, col = first + step * row, first + step * col
-        around = [pictures[c][row + dv, col + du].astype(np.uint16) for dv in (-1, 0, 1) for du in (-1, 0, 1)]
-        cameras.append(np.full(len(row), c, dtype=np.uint8))
-        places.append(np.column_stack([col, row]).astype(np.int16))
-        colours.append((np.sum(around, axis=0) // 9).astype(np.uint8))
+        shape = (-(-mask.shape[0] // step) * -(-mask.shape[1] // step),)
+        place, colour = np.empty((*shape, 2), dtype=np.int16), np.empty((*shape, 3), dtype=np.uint8)
+        # Read-only arrays would make the compiler build the kernel a second time.
+        own, picture = np.require(mask, np.bool_, ("C", "W")), np.require(pictures[c], np.uint8, ("C", "W"))
+        n = _kernels.lattice_colours(own, picture, step, place, colour)
+        cameras.append(np.full(n, c, dtype=np.uint8))
+        places.append(place[:n])
+        colours.append(colour[:n])
     return SilhouettePixels(
         np.concatenate([*cameras, np.zeros(0, dtype=np.uint8)]),
         np.concatenate([*places, np.zeros((0, 2), dtype=np.int16)]),

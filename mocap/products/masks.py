@@ -23,7 +23,7 @@ def mask_row(
 ) -> dict[str, NDArray[np.generic]]:
     """The arrays of one frame.  masks : one (H, W) bool per camera.  shadow, usable : (C,)."""
     packed: dict[str, NDArray[np.generic]] = {f"m{c}": np.packbits(m, axis=1) for c, m in enumerate(masks)}
-    share = np.array([float(m.mean()) for m in masks], dtype=np.float32)
+    share = np.array([np.count_nonzero(m) / m.size for m in masks], dtype=np.float32)
     return {"share": share, "shadow": shadow, "usable": usable, **packed}
 
 

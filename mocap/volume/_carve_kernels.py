@@ -217,27 +217,29 @@ def enter_pixels(pixels, is_real, camera, width, table, n_seen, n_hidden, box4, 
     added to.
     """
     bit = np.int64(1) << camera
+    w = np.float64(width)
     for b in range(64):
-        u0, u1, v0, v1 = 32767, -1, 32767, -1
-        n_real = 0
-        n_inside = 0
+        found, real, row = pixels[64 * b : 64 * b + 64], is_real[64 * b : 64 * b + 64], table[b, camera]
+        seen, hidden = n_seen[b], n_hidden[b]
+        n_real, n_inside = 0, 0
+        # Without branches, so that the compiler works on several voxels at once.
         for j in range(64):
-            pixel = pixels[b * 64 + j]
-            if not is_real[b * 64 + j]:
-                pixel = -1
-            else:
-                n_real += 1
-            if pixel == HIDDEN:
-                n_hidden[b, j] += 1
-                pixel = -1
-            table[b, camera, j] = pixel
-            if pixel >= 0:
-                n_inside += 1
-                n_seen[b, j] += 1
-                v = pixel // width
-                u = pixel - v * width
-                u0, u1 = min(u0, u), max(u1, u)
-                v0, v1 = min(v0, v), max(v1, v)
+            row[j] = found[j] if (real[j] != 0) & (found[j] >= 0) else np.int32(-1)
+        for j in range(64):
+            seen[j] += np.uint8(row[j] >= 0)
+        for j in range(64):
+            hidden[j] += np.uint8((real[j] != 0) & (found[j] == HIDDEN))
+        for j in range(64):
+            n_real += real[j]
+            n_inside += row[j] >= 0
+        u0, u1, v0, v1 = np.int32(32767), np.int32(-1), np.int32(32767), np.int32(-1)
+        for j in range(64):
+            # A quotient of whole numbers is never rounded up to the next one.
+            v = np.int32(np.float64(row[j]) / w)
+            u = row[j] - v * np.int32(width)
+            inside = row[j] >= 0
+            u0, u1 = min(u0, u if inside else np.int32(32767)), max(u1, u if inside else np.int32(-1))
+            v0, v1 = min(v0, v if inside else np.int32(32767)), max(v1, v if inside else np.int32(-1))
         box4[b, camera, 0] = u0
         box4[b, camera, 1] = u1
         box4[b, camera, 2] = v0

@@ -279,6 +279,8 @@ class ConsistencyMonitor:
         person is seen only in part at their edges.
         """
         pixels = self._carver.pixels(voxels)
+        if self._carver.occluders is None:
+            return pixels
         n_inside = np.count_nonzero(pixels >= 0, axis=0)
         pixels = self._carver.judged_pixels(voxels, pixels)
         n_open = np.count_nonzero(pixels >= 0, axis=0)

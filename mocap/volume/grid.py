@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,9 +43,15 @@ def choose_grid(
         raise ValueError(f"voxel_size_m: expected a positive length, got {voxel_size_m}")
     if bounds_m is not None:
         return VoxelGrid.from_bounds(np.asarray(bounds_m[0]), np.asarray(bounds_m[1]), voxel_size_m)
+    needed = default_min_views(len(rig)) if min_views is None else min_views
+    return VoxelGrid.from_bounds(*_common_bounds(rig, needed), voxel_size_m)
+
+
+@lru_cache(maxsize=8)
+def _common_bounds(rig: CameraRig, needed: int) -> tuple[Array, Array]:
+    """Lower and upper corner (3,) m of what so many cameras see, as `choose_grid` says; every stage asks for it."""
     columns = _plan_samples(rig)
     heights = np.arange(_COARSE_M / 2, CEILING_M, _COARSE_M)
-    needed = default_min_views(len(rig)) if min_views is None else min_views
     n_seen = np.zeros((len(heights), len(columns)), dtype=np.int64)
     for camera in rig:
         for row, z in zip(n_seen, heights, strict=True):
@@ -64,7 +72,7 @@ def choose_grid(
     top = heights[common.any(axis=1)].max() + _COARSE_M / 2
     lower = np.maximum(lower, seen.min(axis=0) - _COARSE_M / 2)
     upper = np.minimum(upper, seen.max(axis=0) + _COARSE_M / 2)
-    return VoxelGrid.from_bounds(np.array([*lower, 0.0]), np.array([*upper, top]), voxel_size_m)
+    return np.array([*lower, 0.0]), np.array([*upper, top])
 
 
 def _plan_samples(rig: CameraRig) -> Array:

@@ -372,3 +372,17 @@ def test_tell_apart_shadow_and_doubt() -> None:
     np.testing.assert_array_equal(doubtful, inside & (dark > 0) & (mask != 0))
     assert n_mask == np.count_nonzero(mask[window])
     assert n_shadow == np.count_nonzero(shadow)
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_lattice_colours_are_means_of_nine_pixels(step: int) -> None:
+    rng = np.random.default_rng(step)
+    mask, picture = rng.random((H, W)) < 0.5, rng.integers(0, 256, (H, W, 3), dtype=np.uint8)
+    places, colours = np.empty((H * W, 2), np.int16), np.empty((H * W, 3), np.uint8)
+    n = kernels.lattice_colours(mask, picture, step, places, colours)
+    first = max(1, step // 2)
+    v, u = np.nonzero(mask[first:-1:step, first:-1:step])
+    v, u = first + step * v, first + step * u
+    np.testing.assert_array_equal(places[:n], np.column_stack([u, v]))
+    around = [picture[v + dv, u + du].astype(int) for dv in (-1, 0, 1) for du in (-1, 0, 1)]
+    np.testing.assert_array_equal(colours[:n], np.sum(around, axis=0) // 9)
