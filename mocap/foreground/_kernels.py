@@ -556,25 +556,26 @@ def trim_outline(foreground, core, beside, deep, core_far, beside_far, largest, 
     h, w = foreground.shape
     low, high = np.empty(h, np.int64), np.empty(h, np.int64)
     spans_of(foreground, low, high)
+    # Sums over the rows within `half`, carried on from row to row; columns beyond the window count nothing.
     sums = np.zeros((4, w + 2 * half), dtype=np.uint16)
-    for row in range(h):
-        if low[row] >= high[row]:
+    for row in range(-half, h):
+        if row + half < h:
+            _add_row(core_far[row + half], half, sums[0])
+            _add_row(core[row + half], half, sums[1])
+            _add_row(beside_far[row + half], half, sums[2])
+            _add_row(beside[row + half], half, sums[3])
+        if row > half:
+            _subtract_row(core_far[row - half - 1], half, sums[0])
+            _subtract_row(core[row - half - 1], half, sums[1])
+            _subtract_row(beside_far[row - half - 1], half, sums[2])
+            _subtract_row(beside[row - half - 1], half, sums[3])
+        if row < 0:
             continue
-        begin, end = max(low[row] - half, 0), min(high[row] + half, w)
-        m = np.uint64(end - begin)
-        # Columns beyond the window count nothing.
-        left = begin - (low[row] - half)
-        sums[:, :left] = 0
-        sums[:, left + end - begin : high[row] - low[row] + 2 * half] = 0
-        _column_sums_of_bytes(core_far, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(0))
-        _column_sums_of_bytes(core, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(1))
-        _column_sums_of_bytes(beside_far, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(2))
-        _column_sums_of_bytes(beside, row, half, np.uint64(begin), m, np.uint64(left), sums, np.uint64(3))
         for x in range(low[row], high[row]):
             if foreground[row, x] == 0 or deep[row, x] != 0:
                 continue
             t0, t1, t2, t3 = 0, 0, 0, 0
-            for i in range(x - low[row], x - low[row] + 2 * half + 1):
+            for i in range(x, x + 2 * half + 1):
                 t0 += sums[0, i]
                 t1 += sums[1, i]
                 t2 += sums[2, i]
@@ -585,16 +586,20 @@ def trim_outline(foreground, core, beside, deep, core_far, beside_far, largest, 
                 foreground[row, x] = 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _column_sums_of_bytes(plane, row, half, x, n, at, sums, p):
-    """sums[p, at + i] = sum of column x + i over the rows within `half` of one, for n columns."""
-    zero = np.uint64(0)
-    first = np.uint64(max(row - half, 0))
-    for i in range(zero, n):
-        sums[p, at + i] = plane[first, x + i]
-    for k in range(first + np.uint64(1), np.uint64(min(row + half + 1, plane.shape[0]))):
-        for i in range(zero, n):
-            sums[p, at + i] += plane[k, x + i]
+@njit(cache=True, nogil=True)
+def _add_row(values, first, sums):
+    """sums[first + i] += values[i], of bytes into 16 bits."""
+    own = sums[first : first + values.shape[0]]
+    for i in range(values.shape[0]):
+        own[i] += values[i]
+
+
+@njit(cache=True, nogil=True)
+def _subtract_row(values, first, sums):
+    """sums[first + i] -= values[i]."""
+    own = sums[first : first + values.shape[0]]
+    for i in range(values.shape[0]):
+        own[i] -= values[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -708,24 +713,33 @@ def adapt_rows(rows, background, mean, threshold, near, protect, age, first, str
     has_protection = protect.shape[0] > 0
     width = near.shape[1]
     free = np.empty(3 * width, dtype=np.float32)
+    is_free = np.empty(width, dtype=np.uint8)
     for y in range(first, rows.shape[0], stride):
         a, b, t, m = rows[y], background[y], threshold[y], mean[y]
         close = near[y]
         for x in range(width):
-            step = rate if (_far(a, b, x) <= t[x]) & (close[x] == 0) else np.float32(0.0)
+            is_free[x] = np.uint8((_far(a, b, x) <= t[x]) & (close[x] == 0))
+        for x in range(width):
+            step = rate if is_free[x] != 0 else np.float32(0.0)
             free[3 * x] = step
             free[3 * x + 1] = step
             free[3 * x + 2] = step
         if patience >= 0:
+            older, limit = age[y], np.uint16(patience)
+            if has_protection:
+                for x in range(width):
+                    is_free[x] |= np.uint8(protect[y, x] != 0)
+            worn = np.uint8(0)
             for x in range(width):
-                if free[3 * x] > 0 or (has_protection and protect[y, x] != 0):
-                    age[y, x] = 0
-                elif age[y, x] < patience:
-                    age[y, x] += np.uint16(1)
-                else:
-                    age[y, x] = 0
-                    for c in range(3):
-                        free[3 * x + c] = np.float32(1.0)
+                worn |= np.uint8((is_free[x] == 0) & (older[x] >= limit))
+            if worn != 0:
+                for x in range(width):
+                    if is_free[x] == 0 and older[x] >= limit:
+                        is_free[x] = 1  # it begins anew
+                        for c in range(3):
+                            free[3 * x + c] = np.float32(1.0)
+            for x in range(width):
+                older[x] = np.uint16(older[x] + np.uint16(1)) if is_free[x] == 0 else np.uint16(0)
         for i in range(3 * width):
             v = m[i] + free[i] * (np.float32(a[i]) - m[i])
             m[i] = v
