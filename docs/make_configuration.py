@@ -6,16 +6,21 @@ python -m docs.make_configuration --check    # exit with 1 when the page is out 
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import inspect
 import sys
+import textwrap
 import tomllib
 import types
+from copy import copy
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import annotated_types
-from pydantic import BaseModel, TypeAdapter
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from mocap.pipeline.config import Config, presets
@@ -98,20 +103,36 @@ def value_words(value: Any) -> str:
     return f"`{value:g}`" if isinstance(value, float) else f"`{value}`"
 
 
-def fields_of(section: type) -> dict[str, FieldInfo]:
-    """The keys of a section, which is a pydantic model or a plain dataclass."""
-    if issubclass(section, BaseModel):
-        return dict(section.model_fields)
-    hints, words = get_type_hints(section), TypeAdapter(section).json_schema()["properties"]
-    plain = section()
+def words_of(section: type) -> dict[str, str]:
+    """The strings under the keys of a section, out of its source.
+
+    pydantic can read them too, but every run would wait a fifth of a second for what only this page shows.
+    """
+    (body,) = ast.parse(textwrap.dedent(inspect.getsource(section))).body
+    assert isinstance(body, ast.ClassDef)
     return {
-        f.name: FieldInfo(
-            annotation=hints[f.name],
-            default=getattr(plain, f.name),
-            description=words[f.name].get("description"),
-        )
-        for f in dataclasses.fields(section)
+        key.target.id: words.value.value
+        for key, words in pairwise(body.body)
+        if isinstance(key, ast.AnnAssign) and isinstance(key.target, ast.Name)
+        if isinstance(words, ast.Expr) and isinstance(words.value, ast.Constant)
+        if isinstance(words.value.value, str)
     }
+
+
+def fields_of(section: type) -> dict[str, FieldInfo]:
+    """The keys of a section, which is a pydantic model or a plain dataclass, with their words as description."""
+    words = words_of(section)
+    if issubclass(section, BaseModel):
+        fields = {name: copy(field) for name, field in section.model_fields.items()}
+    else:
+        hints, plain = get_type_hints(section), section()
+        fields = {
+            f.name: FieldInfo(annotation=hints[f.name], default=getattr(plain, f.name))
+            for f in dataclasses.fields(section)
+        }
+    for name, field in fields.items():
+        field.description = words.get(name)
+    return fields
 
 
 def section_text(name: str, section: type) -> str:
@@ -161,7 +182,7 @@ def preset_text() -> str:
 def page() -> str:
     """The whole page."""
     sections, plain = [], {}
-    for name, field in Config.model_fields.items():
+    for name, field in fields_of(Config).items():
         if name == "edits":
             sections.append(
                 "## [edits]\n\nWhat was corrected by hand, out of OUT/edits.toml: [edits.md](edits.md).\n"

@@ -6,7 +6,9 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from typing import Literal
 
 import numpy as np
@@ -125,3 +127,35 @@ def peak_memory_mb() -> float:
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     return float(done.stdout)
+
+
+@measure("start_up_s", unit="s", better="lower")
+def start_up_s() -> float:
+    """CPU of a process that loads what a run needs before it looks at its session, median of five."""
+    code = "import time; import mocap.pipeline.run; print(time.process_time())"
+    times = []
+    for _ in range(5):
+        done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+        times.append(float(done.stdout))
+    return median(times)
+
+
+@measure("outputs_s_per_60_frames", unit="s", better="lower")
+def outputs_s_per_60_frames() -> float:
+    """CPU, of all threads together, of a run of `demo` whose stages are all reused: tables, exports, scene and report.
+
+    Making and running the session first takes a minute of CPU. The libraries are loaded already.
+    """
+    from mocap.pipeline.run import run_session
+    from mocap.synth import synthesise
+
+    with TemporaryDirectory() as folder:
+        session, out = Path(folder) / "session", Path(folder) / "result"
+        synthesise("demo", session)
+        n_frames = len(run_session(session, out, n_threads=1).session.frames)
+        times = []
+        for _ in range(3):
+            begun = time.process_time()
+            run_session(session, out, n_threads=1, resume=True)
+            times.append(time.process_time() - begun)
+    return median(times) * 60 / n_frames

@@ -23,7 +23,7 @@ _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # of a section, o
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 _NAMES_FILE = "names a file"

@@ -15,10 +15,7 @@ from typing import ClassVar
 class _Strict:
     """Settings that a configuration may hold: unknown keys are refused there."""
 
-    __pydantic_config__: ClassVar[Mapping[str, str | bool]] = {
-        "extra": "forbid",
-        "use_attribute_docstrings": True,
-    }
+    __pydantic_config__: ClassVar[Mapping[str, str]] = {"extra": "forbid"}
 
 
 @dataclass(frozen=True)

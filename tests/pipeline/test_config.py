@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import TypeAdapter
 
+from docs.make_configuration import words_of
 from mocap.errors import MocapError
 from mocap.pipeline.config import Config, PoseConfig, config_hash, load_config, presets
 from mocap.rng import rng_for
@@ -135,10 +135,10 @@ def test_every_key_has_a_docstring_or_a_unit() -> None:
     missing = [
         f"{section}.{name}"
         for section, field in sections.items()
-        for name, inner in getattr(field.annotation, "model_fields", {}).items()
-        if not inner.description and not name.endswith(("_m", "_deg", "_s"))
+        for name in getattr(field.annotation, "model_fields", {})
+        if name not in words_of(field.annotation) and not name.endswith(("_m", "_deg", "_s"))
     ]
-    missing += [n for n, f in Config.model_fields.items() if n not in sections and not f.description]
+    missing += [n for n in Config.model_fields if n not in sections and n not in words_of(Config)]
     assert not [m for m in missing if m not in ("pose.resampling", "output.formats", "output.report_cameras")]
 
 
@@ -146,8 +146,8 @@ def test_every_number_of_the_method_has_a_docstring_and_can_be_set() -> None:
     config = load_config()
     for room in dataclasses.fields(config.method):
         section = getattr(config.method, room.name)
-        words = TypeAdapter(type(section)).json_schema()["properties"]
-        assert [n for n in words if "description" not in words[n]] == [], room.name
+        words = words_of(type(section))
+        assert [f.name for f in dataclasses.fields(section) if f.name not in words] == [], room.name
         for field in dataclasses.fields(section):
             value = getattr(section, field.name)
             if isinstance(value, float):

@@ -115,7 +115,7 @@ Kind = TypeVar("Kind", bound=_Edit)
 class Edits(BaseModel):
     """What was edited by hand; see edits.md."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     edit: tuple[Edit, ...] = ()
     """In the order in which they are made."""
