@@ -24,6 +24,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import public_sets
 from foreign_rigs import colmap_model, humaneva, opencap_values, opensfm, truth
 from io_samples import look_at, write_video
 
@@ -35,9 +36,14 @@ from mocap.errors import MocapError
 from mocap.io import _child
 from mocap.io.actions import read_actions_csv
 from mocap.io.calibration import read_calibration, write_calibration
+from mocap.io.calibration.frame import in_our_frame
+from mocap.io.calibration.public_sets import read_human36m, read_skeletool
 from mocap.io.formats import read_poses, write_bvh, write_c3d, write_trc
 from mocap.io.poses import read_map, read_motions
 from mocap.io.session import read_session_settings
+from mocap.io.sets.humaneva import clock_of
+from mocap.io.sets.mpi_inf_3dhp import read_annotations
+from mocap.io.sets.totalcapture import read_positions
 from mocap.io.tables import (
     read_detections_csv,
     read_landmarks_csv,
@@ -59,7 +65,7 @@ SLOW_S = 10.0
 SERVER = """
 import os, resource, signal, sys
 sys.path.insert(0, sys.argv[1])
-import cv2, ezc3d
+import cv2, ezc3d, scipy.io
 from mocap.io import _child
 for line in sys.stdin:
     kind, memory, seconds, path, out = line.rstrip("\\n").split("\\t")
@@ -107,7 +113,8 @@ class Count:
 
 def samples(folder: Path) -> list[Sample]:
     """One valid file, or more, of every format; `folder` holds what the writers leave."""
-    return [*_calibrations(folder), *_motions(folder), *_tables(folder), *_settings(), *_pictures(folder)]
+    makers = (_calibrations, _motions, _tables, _public_sets, _pictures)
+    return [*_settings(), *(sample for make in makers for sample in make(folder))]
 
 
 def _rig() -> CameraRig:
@@ -208,6 +215,32 @@ def _foreign_calibrations(folder: Path) -> Iterator[Sample]:
                 {f"{other}.{ending}": beside},
                 is_text=ending == "txt",
             )
+
+
+def _public_sets(folder: Path) -> Iterator[Sample]:
+    """Cameras and truth of public sets; their C3D, JSON and .calib files are those of other samples."""
+    root = folder / "sets"
+    if not root.is_dir():
+        public_sets.totalcapture(root / "tc")
+        public_sets.mpi_inf_3dhp(root / "3dhp")
+        public_sets.human36m(root / "h36m", lambda path, _: path.touch())
+    cal, positions = (root / "tc" / name for name in ("calibration.cal", "s1/acting1/gt_skel_gbl_pos.txt"))
+    yield Sample("calibration TotalCapture", "c.cal", cal.read_bytes(), _calibration)
+    yield Sample("TotalCapture positions", "gt.txt", positions.read_bytes(), read_positions)
+    sequence = root / "3dhp" / "S2" / "Seq1"
+    skeletool, annotations = ((sequence / name).read_bytes() for name in ("camera.calibration", "annot.mat"))
+    yield Sample("calibration MPI-INF-3DHP", "camera.calibration", skeletool, _calibration)
+    rig = read_skeletool(sequence / "camera.calibration")
+    yield Sample(
+        "MPI-INF-3DHP annotations", "a.mat", annotations, lambda p: read_annotations(p, rig), is_text=False
+    )
+    metadata = (root / "h36m" / "metadata.xml").read_bytes()
+    yield Sample("calibration Human3.6M", "metadata.xml", metadata, _human36m)
+    yield Sample("HumanEva .ofs", "a.ofs", b"1\n5\n2.0\n", lambda p: clock_of(p, 120.0))
+
+
+def _human36m(path: Path) -> object:
+    return in_our_frame(read_human36m(path, public_sets.SUBJECT), path, None, None, False)
 
 
 def _calibration(path: Path) -> object:
