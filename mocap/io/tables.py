@@ -139,10 +139,12 @@ def read_landmarks_csv(path: Path | str) -> list[Motion]:
     Raises MocapError with the line for a missing column, an unknown landmark, a number that is none, or a
     doubled row.
     """
-    people: dict[int, _PersonRows] = {}
-    for line, row in rows_of(Path(path), LANDMARK_COLUMNS):
-        person = whole_of(Path(path), line, row, "person")
-        people.setdefault(person, _PersonRows(Path(path), person)).add(line, row)
+    path, people = Path(path), dict[int, _PersonRows]()
+    for line, row in rows_of(path, LANDMARK_COLUMNS):
+        person = whole_of(path, line, row, "person")
+        if person not in people:
+            people[person] = _PersonRows(path, person)
+        people[person].add(line, row)
     return [people[person].motion() for person in sorted(people)]
 
 
