@@ -14,7 +14,7 @@ from mocap.view.html import escaped
 Array = NDArray[np.float64]
 
 _WIDTH, _HEIGHT = 420, 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 44, 410, 12, 164
+_LEFT, _RIGHT, _TOP, _BOTTOM = 44, 398, 12, 164  # half of "100 %" stands beyond the right end
 N_COLOURS = 8
 _MOST_POINTS = 400  # a picture has no more columns
 # Half width of a band that holds 90 % of a normal distribution, in standard deviations.
