@@ -75,6 +75,7 @@ LAZY = frozenset(
     {
         "matplotlib",
         "rerun",
+        "pylsl",
         "ezc3d",
         "cdflib",
         "zarr",

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mocap.cli.options import PresetOption, SeedOption, SetOption, ThreadsOption, read_config
+from mocap.cli.options import (
+    PresetOption,
+    SeedOption,
+    SetOption,
+    ThreadsOption,
+    check_choice,
+    read_config,
+)
 from mocap.compiling import compilation_shown
 from mocap.errors import MocapError
 
@@ -60,6 +68,13 @@ def live(
         str | None,
         typer.Option("--vmc", help="One person for avatars (VMC): PORT of this machine, or HOST:PORT."),
     ] = None,
+    lsl: Annotated[
+        str | None, typer.Option("--lsl", help="Landmarks as streams NAME-PERSON of the Lab Streaming Layer.")
+    ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option("--view", help="The 3D scene in the Rerun viewer: window, or web for a browser."),
+    ] = None,
     record: Annotated[
         bool, typer.Option("--record", help="Record videos, for `mocap run OUT` later.")
     ] = False,
@@ -72,6 +87,8 @@ def live(
     """Follow who is before the cameras while they film; Ctrl-C ends it."""
     from mocap.pipeline.live.run import LIVE_DEFAULTS, LIVE_SETTINGS, LiveOrder, run_live
 
+    if record and replay is not None:
+        raise MocapError("a session that is played is a recording already", remedy="leave --record out")
     config = read_config(preset, [*LIVE_DEFAULTS, *(settings or []), *LIVE_SETTINGS])
     session, sources = _room(calibration, camera, replay, out, fps, background)
     order = LiveOrder(
@@ -82,14 +99,17 @@ def live(
         background_s=0.0 if replay or background else background_s,
         tolerance_s=0.6 / session.fps if tolerance_ms is None else tolerance_ms / 1000.0,
         seconds=seconds,
-        is_recorded=record and replay is None,
+        is_recorded=record,
         seed=seed,
         n_threads=threads or 2,
     )
+    if order.background_s > 0:
+        _say(f"Filming the empty room for {order.background_s:g} s; nobody may be in it")
     with ExitStack() as stack:
-        sinks = _sinks(json_to, udp, osc, vmc)
-        for sink in sinks:
+        sinks = []
+        for sink in _sinks(json_to, udp, osc, vmc, lsl, view, session):
             stack.callback(sink.close)
+            sinks.append(sink)
         stack.enter_context(compilation_shown(_compiling))
         status = run_live(order, sinks, show=_show, count_down=_count_down)
     _say(f"{_words(status)}; {status.n_results} results")
@@ -129,27 +149,50 @@ def _room(
     return session, sources
 
 
-def _sinks(json_to: Path | None, udp: str | None, osc: str | None, vmc: str | None) -> list[Sink]:
+def _sinks(
+    json_to: Path | None,
+    udp: str | None,
+    osc: str | None,
+    vmc: str | None,
+    lsl: str | None,
+    view: str | None,
+    session: Session,
+) -> Iterator[Sink]:
+    """Everybody who wants the results, one by one."""
+    from mocap.pipeline.live.lsl import LslStreams
     from mocap.pipeline.live.outputs import JsonLines, UdpJson, UdpOsc, UdpVmc, read_address
 
-    sinks: list[Sink] = []
     if udp is not None:
-        sinks.append(UdpJson(read_address(udp, "--udp")))
+        yield UdpJson(read_address(udp, "--udp"))
     if osc is not None:
-        sinks.append(UdpOsc(read_address(osc, "--osc")))
+        yield UdpOsc(read_address(osc, "--osc"))
     if vmc is not None:
-        sinks.append(UdpVmc(read_address(vmc, "--vmc")))
+        yield UdpVmc(read_address(vmc, "--vmc"))
+    if lsl is not None:
+        yield LslStreams(lsl)
     if json_to is not None and str(json_to) == "-":
-        sinks.append(JsonLines(sys.stdout, is_closed=False))
+        yield JsonLines(sys.stdout, is_closed=False)
     elif json_to is not None:
-        sinks.append(JsonLines(json_to.open("w", encoding="utf-8")))
-    return sinks
+        yield JsonLines(json_to.open("w", encoding="utf-8"))
+    if view is not None:
+        yield _scene(view, session)
+
+
+def _scene(view: str, session: Session) -> Sink:
+    """The 3D scene; where its page is, is said."""
+    from mocap.pipeline.live.outputs import OnThread
+    from mocap.pipeline.live.scene import PLACES, LiveScene
+
+    check_choice("--view", view, PLACES)
+    scene = LiveScene(session, view)
+    if scene.url is not None:
+        _say(f"The 3D scene: {scene.url}")
+    return OnThread(scene)
 
 
 def _count_down(left_s: float) -> None:
     if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[KFilming the empty room: {left_s:.0f} s; nobody may be in it")
-        sys.stderr.flush()
+        _say(f"Filming the empty room: {left_s:.0f} s; nobody may be in it", is_rewritten=True)
 
 
 def _compiling(what: str, done: int, total: int) -> None:

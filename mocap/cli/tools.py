@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +18,7 @@ from mocap.cli.options import (
 )
 from mocap.cli.progress import progress_bar
 from mocap.compiling import COMPILING
-from mocap.errors import MissingExtra, MocapError
+from mocap.errors import MocapError
 
 
 def view(
@@ -77,7 +75,9 @@ def view(
             )
     typer.echo(f"Scene in {scene}")
     if show:
-        _open_viewer(scene)
+        from mocap.pipeline.finished import open_scene
+
+        open_scene(scene)
     else:
         typer.echo(f"Look at it with: mocap view {result} --open, or any Rerun viewer")
 
@@ -111,22 +111,6 @@ def _cameras(text: str | None) -> tuple[str, ...] | None:
     if text is None:
         return None
     return () if text.strip() == "none" else tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _open_viewer(scene: Path) -> None:
-    """Start the viewer of rerun-sdk and let it live on its own; its usage statistics are switched off before."""
-    from importlib.util import find_spec
-
-    if find_spec("rerun") is None:
-        raise MissingExtra(
-            "the Rerun viewer is not installed",
-            "view",
-            otherwise="open the file in a Rerun viewer of your own",
-            path=scene,
-        )
-    rerun = [sys.executable, "-m", "rerun"]
-    subprocess.run([*rerun, "analytics", "disable"], check=False, capture_output=True)
-    subprocess.Popen([*rerun, str(scene)], start_new_session=True)
 
 
 def export(

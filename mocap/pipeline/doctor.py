@@ -32,7 +32,8 @@ _EXTRAS = {
     "usd": ("pxr", "USD files"),
     "sets": ("cdflib", "poses of Human3.6M"),
     "sound": ("av", "`mocap sync --by sound`"),
-    "view": ("rerun", "scene.rrd and `mocap view`"),
+    "view": ("rerun", "scene.rrd, `mocap view` and `mocap live --view`"),
+    "lsl": ("pylsl", "`mocap live --lsl`"),
     "open3d": ("open3d", "`mocap depth --what room` and `mocap calibrate --register`"),
     "cluster": ("distributed", "`mocap sweep` and `mocap batch` with several workers"),
 }

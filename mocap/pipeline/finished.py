@@ -65,6 +65,13 @@ def rewrite_report(out: Path, session: Path) -> Path:
     return path
 
 
+def open_scene(path: Path) -> None:
+    """Open a 3D scene in the Rerun viewer, which lives on its own. Raises MissingExtra."""
+    from mocap.view.viewer import start_viewer
+
+    start_viewer(str(path))
+
+
 def rewrite_scene(
     out: Path,
     session: Path,

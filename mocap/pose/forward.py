@@ -84,6 +84,12 @@ class ForwardPerson:
         self._search: Future[KnownPerson] | None = None
         self._following: _Following | None = None
         self._last_s: float | None = None
+        self._height_m = given_m
+
+    @property
+    def height_m(self) -> float | None:
+        """The body's; until it is known that of the hulls, and None before they are enough."""
+        return self._height_m if self._known is None else self._known.height.height_m
 
     @property
     def tools(self) -> VolumeTools | None:
@@ -139,6 +145,8 @@ class ForwardPerson:
                 if self._given_m is not None
                 else estimate_height(self._grid, hull_of, rows)
             )
+            if height.is_measured:
+                self._height_m = height.height_m  # long before the search is done
             tools = self._tools_of(height.height_m)
         tools = replace(tools, fps=fps)
         clip = _clip(self.person, looked_at, VolumeObservation(tools, hull_of))

@@ -1,11 +1,12 @@
-"""The 3D scene of a run as a Rerun recording: cameras, images, coloured voxels and bodies on a time line.
+"""The 3D scene of a run for Rerun: cameras, images, coloured voxels and bodies on a time line.
 
-rerun-sdk is an optional extra (`view`) and is imported when the first scene is written. Only a file is written:
-no viewer opens and nothing is sent anywhere.
+rerun-sdk is an optional extra (`view`) and is imported when the first scene is written. `write_rrd` writes a file: no
+viewer opens and nothing is sent anywhere; `mocap.view.viewer` shows the same to a viewer.
 """
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -85,30 +86,22 @@ def write_rrd(
     with pictures.
     Raises MocapError when rerun-sdk is not installed or the file cannot be written.
     """
-    rr = _import_rerun(path)
+    rr = import_rerun(path=path)
     target = Path(path)
     part = target.with_name(target.name + ".part")
     count = n_frames or length_hint(frames, 0) or _DEFAULT_FRAMES
-    budget = _HullBudget(max_bytes, count)
     # At most max_bytes are collected in memory and written by us: rerun's own file sink waits for ever when the disk
     # is full.
     stream = rr.RecordingStream("mocap", recording_id=target.stem, send_properties=False)
     sink = stream.binary_stream()
-    stream.send_blueprint(_blueprint(rig), make_active=True, make_default=True)
     try:
         part.write_bytes(b"")  # an unwritable folder is noticed before the work
         try:
-            _log_static(rr, stream, rig, tracks, bounds_m)
-            shown: set[int] = set()
-            has_layers = False
+            log = SceneLog(stream, rig, _HullBudget(max_bytes, count), tracks=tracks, bounds_m=bounds_m)
             for item in frames:
-                _set_time(stream, item)
-                _log_persons(rr, stream, item, shown)
-                has_layers = _log_layers(rr, stream, item, has_layers)
-                _log_hull(rr, stream, item.hull, budget)
+                log.put(item)
             for coded in pictures():
-                _set_time(stream, coded)
-                _log_pictures(rr, stream, rig, coded)
+                log.put_pictures(coded)
             part.write_bytes(sink.read() or b"")
         finally:
             stream.disconnect()
@@ -124,12 +117,48 @@ def write_rrd(
             part.unlink()
 
 
+class SceneLog:
+    """A scene that goes into a stream of rerun frame by frame, cameras and room at once.
+
+    budget : of the voxels; None = all are shown.
+    """
+
+    def __init__(
+        self,
+        stream: Any,
+        rig: CameraRig,
+        budget: _HullBudget | None = None,
+        *,
+        tracks: Tracks | None = None,
+        bounds_m: Sequence[Sequence[float]] | None = None,
+    ) -> None:
+        self._rr, self._stream, self._rig = import_rerun(), stream, rig
+        self._budget = budget or _HullBudget(math.inf, 1)
+        self._shown: set[int] = set()
+        self._has_layers = False
+        stream.send_blueprint(_blueprint(rig), make_active=True, make_default=True)
+        _log_static(self._rr, stream, rig, tracks, bounds_m)
+
+    def put(self, item: SceneFrame) -> None:
+        """One more frame."""
+        rr, stream = self._rr, self._stream
+        _set_time(stream, item)
+        _log_persons(rr, stream, item, self._shown)
+        self._has_layers = _log_layers(rr, stream, item, self._has_layers)
+        _log_hull(rr, stream, item.hull, self._budget)
+
+    def put_pictures(self, coded: CodedPictures) -> None:
+        """The pictures of a frame."""
+        _set_time(self._stream, coded)
+        _log_pictures(self._rr, self._stream, self._rig, coded)
+
+
 def _set_time(stream: Any, item: SceneFrame | CodedPictures) -> None:
     stream.set_time(TIMELINE, sequence=int(item.frame))
     stream.set_time("time", duration=float(item.time_s))
 
 
-def _rest(max_bytes: int, n_frames: int) -> float:
+def _rest(max_bytes: float, n_frames: int) -> float:
     """Bytes that bodies leave for pictures and voxels; bodies are always written."""
     return max(0.15 * max_bytes, max_bytes - 1.5 * _BYTES_PER_PERSON * n_frames)
 
@@ -137,7 +166,7 @@ def _rest(max_bytes: int, n_frames: int) -> float:
 class _HullBudget:
     """How many bytes the voxels may still take, so that a long session does not make a huge file."""
 
-    def __init__(self, max_bytes: int, n_frames: int) -> None:
+    def __init__(self, max_bytes: float, n_frames: int) -> None:
         self._left = (1 - _IMAGE_SHARE) * _rest(max_bytes, n_frames)
         voxels = self._left / n_frames / _BYTES_PER_VOXEL
         self.voxels_per_frame = int(np.clip(voxels, _MIN_VOXELS, _MAX_VOXELS))
@@ -159,7 +188,7 @@ class ScenePictures:
     """
 
     def __init__(
-        self, rig: CameraRig, n_frames: int, *, n_others: int = 0, max_bytes: int = MAX_BYTES
+        self, rig: CameraRig, n_frames: int, *, n_others: int = 0, max_bytes: float = MAX_BYTES
     ) -> None:
         self._lenses = {camera.name: _Lens.of(camera, IMAGE_WIDTH) for camera in rig}
         self._n_frames = n_frames
@@ -238,14 +267,15 @@ class _Lens:
         return np.asarray(cv2.remap(image, self.map_uv, self.map_share, cv2.INTER_LINEAR), dtype=np.uint8)
 
 
-def _import_rerun(path: Path) -> Any:
+def import_rerun(otherwise: str = "leave the scene out", *, path: Path | None = None) -> Any:
+    """The package rerun. Raises MissingExtra with what can be done without it, and the path that was to be written."""
     try:
         import rerun
     except ImportError as error:
         raise MissingExtra(
             "the 3D scene needs rerun-sdk, which is not installed",
             "view",
-            otherwise="leave the scene out",
+            otherwise=otherwise,
             path=path,
         ) from error
     return rerun

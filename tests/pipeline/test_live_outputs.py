@@ -6,6 +6,9 @@ import io
 import json
 import socket
 import struct
+import threading
+import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +19,15 @@ from mocap.data import LANDMARKS
 from mocap.errors import MocapError
 from mocap.pipeline.config import load_config
 from mocap.pipeline.live.engine import FrameResult, PersonResult
-from mocap.pipeline.live.outputs import JsonLines, UdpJson, UdpOsc, UdpVmc, osc_message, read_address
+from mocap.pipeline.live.outputs import (
+    JsonLines,
+    OnThread,
+    UdpJson,
+    UdpOsc,
+    UdpVmc,
+    osc_message,
+    read_address,
+)
 from mocap.pose.follow import FramePose
 
 N = len(LANDMARKS)
@@ -27,7 +38,7 @@ POSE = FramePose(
     log_likelihood=-1.0, evidence=-2.0, ess_share=0.5, doubtful=np.zeros(N, dtype=bool),
 )  # fmt: skip
 BODY = scale_body(load_body_model(load_config().body_model("voxels")), 1.7654)
-FOLLOWED = PersonResult(2, np.array([0.5, -0.25, 1.0]), BODY, POSE, np.linspace(0.01, 0.02, N))
+FOLLOWED = PersonResult(2, np.array([0.5, -0.25, 1.0]), 1.7654, BODY, POSE, np.linspace(0.01, 0.02, N))
 RESULT = FrameResult(41, 12.34567, 0.0421, 6, (FOLLOWED, PersonResult(3, np.array([1.0, 2.0, 0.9]))))
 
 
@@ -152,6 +163,53 @@ def test_an_avatar_stays_with_one_person(receiver: socket.socket) -> None:
         sink.put(replace(RESULT, persons=persons))
         assert sink._person == told
     sink.close()
+
+
+class Slow:
+    """A sink that waits until it may go on."""
+
+    def __init__(self) -> None:
+        self.frames: list[int] = []
+        self.may_go_on = threading.Event()
+
+    def put(self, result: FrameResult) -> None:
+        self.may_go_on.wait(10.0)
+        self.frames.append(result.frame)
+        if result.frame < 0:
+            raise ValueError("no such frame")
+
+    def close(self) -> None:
+        self.frames.append(99)
+
+
+def test_nobody_waits_for_a_sink_on_a_thread_and_it_gets_the_newest() -> None:
+    slow = Slow()
+    sink = OnThread(slow)
+    sink.put(replace(RESULT, frame=1))
+    wait_until(lambda: sink._newest is None)
+    for frame in range(2, 50):
+        sink.put(replace(RESULT, frame=frame))
+    slow.may_go_on.set()
+    sink.close()
+    assert slow.frames == [1, 49, 99]
+
+
+def test_what_a_sink_on_a_thread_raises_is_not_lost() -> None:
+    slow = Slow()
+    slow.may_go_on.set()
+    sink = OnThread(slow)
+    sink.put(replace(RESULT, frame=-1))
+    wait_until(lambda: sink._error is not None)
+    with pytest.raises(ValueError, match="no such frame"):
+        sink.put(RESULT)
+    sink.close()
+
+
+def wait_until(is_so: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + 15.0
+    while not is_so():
+        assert time.monotonic() < until_s, "waited in vain"
+        time.sleep(0.01)
 
 
 def test_nobody_has_to_listen() -> None:

@@ -86,9 +86,16 @@ class CameraThread:
         self._thread.join(0.5)
 
     def _work(self) -> None:
-        if is_file(self.source):
-            self._play()
-            return
+        try:
+            if is_file(self.source):
+                self._play()
+            else:
+                self._film()
+        except MocapError as error:
+            self.error = error
+
+    def _film(self) -> None:
+        """A device or stream, which is opened again whenever it fails."""
         while not self._is_stopped.is_set():
             for picture in _stream(self.source):
                 now_s = time.monotonic()
@@ -107,9 +114,8 @@ class CameraThread:
                 if self._is_stopped.wait(max(0.0, due_s - time.monotonic())):
                     return
                 self._take(Shot(self._start_s + shown_s, due_s, picture))
-        except MocapError as error:
-            self.error = error
-        self.is_over = True
+        finally:
+            self.is_over = True
 
     def _shown(self) -> Iterator[tuple[int, Image]]:
         """Frames of the session, ascending, with the picture that shows each."""
@@ -122,14 +128,12 @@ class CameraThread:
     def _take(self, shot: Shot) -> None:
         height, width = shot.picture.shape[:2]
         if (width, height) != self.camera.size:
-            self.error = MocapError(
+            raise MocapError(
                 f"the source gives pictures of {width} x {height}, the calibration says "
                 f"{self.camera.size[0]} x {self.camera.size[1]}",
                 camera=self.camera.name,
                 remedy="set the camera to the size that it was calibrated with, or calibrate it again",
             )
-            self._is_stopped.set()
-            return
         self.n_shots += 1
         self._on_shot(self.camera.name, shot)
 

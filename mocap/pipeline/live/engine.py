@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, load_body_model
-from mocap.data import Occluders, VoxelGrid
+from mocap.data import Hull, Occluders, VoxelGrid
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import Config
+from mocap.pipeline.live.capture import Image
 from mocap.pipeline.live.pairing import PictureSet
 from mocap.pipeline.pose_settings import make_tools, stated_height_m
 from mocap.pipeline.stage import Arrays, Job, Seen
@@ -45,7 +46,8 @@ Array = NDArray[np.float64]
 ENDLESS = range(2**31 - 1)
 """Frames of a session that has no end."""
 _STAGES = (SEGMENT, CARVE, TRACK)
-_MOST_PERSONS = 16  # who is remembered; the one who was not seen for longest gives way
+MOST_PERSONS = 16
+"""Who is remembered; the one who was not seen for longest gives way."""
 _NO_PICTURE = np.zeros((0, 0, 3), dtype=np.uint8)
 
 
@@ -53,28 +55,24 @@ _NO_PICTURE = np.zeros((0, 0, 3), dtype=np.uint8)
 class PersonResult:
     """One person in one frame.
 
-    xyz : (3,) m, the track.  body : None while it is not known.  pose and deviation_m (M,), the standard deviation of
-    a landmark along an axis: None while the first pose is looked for.
+    xyz : (3,) m, the track.  height_m : None while it is not known.  body : None while it is not known.  pose and
+    deviation_m (M,), the standard deviation of a landmark along an axis: None while the first pose is looked for.
     """
 
     person: int
     xyz: Array
+    height_m: float | None = None
     body: Body | None = None
     pose: FramePose | None = None
     deviation_m: Array | None = None
-
-    @property
-    def height_m(self) -> float | None:
-        """Of the body; None while it is not known."""
-        return None if self.body is None else self.body.height_m
 
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
     """What was found in one set of pictures.
 
-    time_s : that it shows.  latency_s : from when the latest picture was taken over to the result.
-    n_cameras : that took part.
+    time_s : that it shows, since the first set.  latency_s : from when the latest picture was taken over to the result.
+    n_cameras : that took part.  hull : of everybody.  pictures : one per camera, None of a camera that was silent.
     """
 
     frame: int
@@ -82,13 +80,16 @@ class FrameResult:
     latency_s: float
     n_cameras: int
     persons: tuple[PersonResult, ...]
+    hull: Hull | None = None
+    pictures: tuple[Image | None, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class _Tracked:
-    """A frame as far as the tracker.  rows : product -> arrays of this frame."""
+    """A frame as far as the tracker.  time_s : since the first set.  rows : product -> arrays of this frame."""
 
     seen: Seen
+    time_s: float
     rows: dict[str, Arrays]
     pictures: PictureSet
 
@@ -147,10 +148,12 @@ class Engine:
                 persons = self._posed(found)
                 yield FrameResult(
                     frame=found.seen.frame,
-                    time_s=found.pictures.time_s,
+                    time_s=found.time_s,
                     latency_s=time.monotonic() - found.pictures.taken_s,
                     n_cameras=sum(shot is not None for shot in found.pictures.shots),
                     persons=persons,
+                    hull=found.seen.hull,
+                    pictures=tuple(None if s is None else s.picture for s in found.pictures.shots),
                 )
 
     def _tracked(self, sets: Iterable[PictureSet]) -> Iterator[_Tracked]:
@@ -158,13 +161,14 @@ class Engine:
         first_s, frame = None, -1
         for i, pictures in enumerate(sets):
             first_s = pictures.time_s if first_s is None else first_s
-            frame = max(frame + 1, round((pictures.time_s - first_s) * self.session.fps))
+            time_s = pictures.time_s - first_s
+            frame = max(frame + 1, round(time_s * self.session.fps))
             images = [_NO_PICTURE if shot is None else shot.picture for shot in pictures.shots]
             seen, rows = Seen(i, frame, pictures=images), {}
             for walker in self._walkers:
                 seen, made = walker.step(seen)
                 rows.update({row.product: row.arrays for row in made if row.frame == frame})
-            yield _Tracked(seen, rows, pictures)
+            yield _Tracked(seen, time_s, rows, pictures)
 
     def _posed(self, found: _Tracked) -> tuple[PersonResult, ...]:
         """The persons of a frame with their poses."""
@@ -184,12 +188,13 @@ class Engine:
         pose = follower.see(Sighting(found.pictures.time_s, track.xyz, hull))
         tools = follower.tools
         if pose is None or tools is None:
-            return PersonResult(track.person, track.xyz, None if tools is None else tools.body)
+            body = None if tools is None else tools.body
+            return PersonResult(track.person, track.xyz, follower.height_m, body)
         series = FrameSeries.of_length(1, tools.body)
         note(series, 0, pose, tools)
         covariance = landmark_covariances(tools.body, series, self.config.method.deviation)
         deviation_m = np.sqrt(np.trace(covariance[0], axis1=1, axis2=2) / 3.0)
-        return PersonResult(track.person, track.xyz, tools.body, pose, deviation_m)
+        return PersonResult(track.person, track.xyz, follower.height_m, tools.body, pose, deviation_m)
 
     def _follower(self, person: int) -> ForwardPerson:
         """Who follows a person; the last who was seen stands last."""
@@ -206,7 +211,7 @@ class Engine:
                 given_m=stated_height_m(self.config, model, self.session),
             )
         self._persons[person] = follower
-        while len(self._persons) > _MOST_PERSONS:
+        while len(self._persons) > MOST_PERSONS:
             del self._persons[next(iter(self._persons))]
         return follower
 

@@ -6,6 +6,7 @@ import json
 import math
 import socket
 import struct
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from typing import IO, Any, Protocol
@@ -20,6 +21,7 @@ from mocap.io.formats.bone_names import renamed
 from mocap.pipeline.live.engine import FrameResult, PersonResult
 
 _LOOPBACK = "127.0.0.1"
+_MOST_S = 3.0  # that an output which hangs is waited for at the end
 _TO_UNITY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """From our axes, x forward, y left, z up, to Unity's."""
 
@@ -59,6 +61,47 @@ def _person_to_json(person: PersonResult) -> dict[str, Any]:
 def _rounded(values: Iterable[float]) -> list[float | None]:
     """Tenths of millimetres; None for what is not known, which JSON has no number for."""
     return [round(float(v), 4) if math.isfinite(v) else None for v in values]
+
+
+class OnThread:
+    """A sink on a thread of its own that gets the newest result: nobody waits for it."""
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+        self._newest: FrameResult | None = None
+        self._has_news = threading.Condition()
+        self._is_over = False
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._work, name="mocap-live-output", daemon=True)
+        self._thread.start()
+
+    def put(self, result: FrameResult) -> None:
+        if self._error is not None:
+            raise self._error
+        with self._has_news:
+            self._newest = result
+            self._has_news.notify()
+
+    def close(self) -> None:
+        with self._has_news:
+            self._is_over = True
+            self._has_news.notify()
+        self._thread.join(_MOST_S)
+        self._sink.close()
+
+    def _work(self) -> None:
+        while True:
+            with self._has_news:
+                self._has_news.wait_for(lambda: self._newest is not None or self._is_over)
+                result, self._newest = self._newest, None
+            if result is None:
+                return
+            try:
+                self._sink.put(result)
+            except Exception as error:
+                # Not swallowed: whoever brings the next result raises it.
+                self._error = error
+                return
 
 
 class JsonLines:

@@ -5,6 +5,8 @@ It is a session folder too, so that what is recorded into it can be run again.
 
 from __future__ import annotations
 
+import shutil
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,14 +16,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import CameraRig
+from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, atomic_text
 from mocap.io.calibration import read_calibration, write_calibration
 from mocap.io.session import Session
 from mocap.io.session.sources import sources_in
+from mocap.io.session.timeline import TIMESTAMPS_FILE
+from mocap.io.tables import TIMESTAMP_COLUMNS
+from mocap.pipeline.live.capture import Shot
 from mocap.pipeline.live.engine import ENDLESS
-from mocap.pipeline.live.pairing import Pairing, PictureSet
+from mocap.pipeline.live.pairing import Pairing
 from mocap.portable import utf8_name
 
 Image = NDArray[np.uint8]
@@ -141,20 +146,51 @@ def _is_short(pictures: Mapping[str, Sequence[Image]], until_s: float) -> bool:
     return time.monotonic() < until_s + 5.0 and min(map(len, pictures.values())) < _FEWEST_PICTURES
 
 
+def keep_backgrounds(session: Session) -> None:
+    """Copy clips of the empty room that lie elsewhere into the session's background/, so that it can be run."""
+    folder = session.root / "background"
+    for name, source in session.background_sources.items():
+        if source.parent.resolve() == folder.resolve():
+            continue
+        target = folder / f"{name}{source.suffix}"
+        folder.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            shutil.copytree(source, target, dirs_exist_ok=True)
+        else:
+            shutil.copyfile(source, target)
+
+
 class Recording:
-    """The pictures of every set as videos/ of a session, black where a camera gave none; use as context manager."""
+    """All pictures of the cameras as videos/ of a session, with when they were taken; use as context manager.
+
+    `put` is called on the cameras' threads: each codes its own pictures, so that nobody else waits for it.
+    Raises MocapError where a recording lies already, or where none can be written.
+    """
 
     def __init__(self, session: Session) -> None:
-        self._rig = session.rig
-        folder = session.root / "videos"
-        folder.mkdir(parents=True, exist_ok=True)
-        self._writers = {}
-        for camera in session.rig:
-            with utf8_name(folder / f"{camera.name}.mp4") as name:
-                writer = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*"mp4v"), session.fps, camera.size)
-            self._writers[camera.name] = writer
-        if not all(writer.isOpened() for writer in self._writers.values()):
-            raise MocapError("the recording cannot be written", path=folder, remedy="check the folder")
+        self._session = session
+        self._folder = session.root / "videos"
+        self._stamps_path = session.root / TIMESTAMPS_FILE
+        if self._stamps_path.exists() or any(self._folder.glob("*")):
+            raise MocapError(
+                "there is a recording already", path=self._folder, remedy="choose another folder with -o"
+            )
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._writers = {camera.name: self._opened(camera) for camera in session.rig}
+        self._n_of = dict.fromkeys(self._writers, 0)
+        self._locks = {name: threading.Lock() for name in self._writers}  # a camera's picture, or the end
+        self._stamping = threading.Lock()
+        self._stamps = self._stamps_path.open("w", encoding="utf-8")
+        self._stamps.write(",".join(TIMESTAMP_COLUMNS) + "\n")
+        self._is_over = False
+
+    def _opened(self, camera: Camera) -> cv2.VideoWriter:
+        with utf8_name(self._folder / f"{camera.name}.mp4") as path:
+            codec = cv2.VideoWriter.fourcc(*"mp4v")
+            writer = cv2.VideoWriter(path, codec, self._session.fps, camera.size)
+        if not writer.isOpened():
+            raise _unwritable(self._folder, "check the folder")
+        return writer
 
     def __enter__(self) -> Recording:
         return self
@@ -162,12 +198,30 @@ class Recording:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for writer in self._writers.values():
-            writer.release()
+        self._is_over = True
+        for name, writer in self._writers.items():
+            with self._locks[name]:
+                writer.release()
+            if not self._n_of[name]:  # no clip of a camera that never filmed
+                (self._folder / f"{name}.mp4").unlink(missing_ok=True)
+        self._stamps.close()
+        if not any(self._n_of.values()):
+            self._stamps_path.unlink()
 
-    def put(self, pictures: PictureSet) -> None:
-        """Write a set."""
-        for camera, shot in zip(self._rig, pictures.shots, strict=True):
-            width, height = camera.size
-            picture = np.zeros((height, width, 3), np.uint8) if shot is None else shot.picture
-            self._writers[camera.name].write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    def put(self, name: str, shot: Shot) -> None:
+        """One picture of a camera. Raises MocapError when the disk is full."""
+        picture = cv2.cvtColor(shot.picture, cv2.COLOR_RGB2BGR)
+        with self._locks[name]:
+            if self._is_over:
+                return
+            self._writers[name].write(picture)
+            self._n_of[name] += 1
+            try:
+                with self._stamping:
+                    self._stamps.write(f"{name},{shot.time_s:.6f}\n")
+            except OSError as error:
+                raise _unwritable(self._folder, "make room on the disk") from error
+
+
+def _unwritable(folder: Path, remedy: str) -> MocapError:
+    return MocapError("the recording cannot be written", path=folder, remedy=remedy)

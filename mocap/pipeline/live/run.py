@@ -16,16 +16,18 @@ from mocap.data import Occluders
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import Config
-from mocap.pipeline.live.capture import CameraThread, Pace
+from mocap.pipeline.live.capture import CameraThread, Pace, Shot
 from mocap.pipeline.live.engine import Engine, FrameResult
 from mocap.pipeline.live.outputs import Sink
 from mocap.pipeline.live.pairing import Pairing, PairingCounts, PictureSet
-from mocap.pipeline.live.room import MIN_CAMERAS, Recording, learn_room
+from mocap.pipeline.live.room import MIN_CAMERAS, Recording, keep_backgrounds, learn_room
 
 _WINDOW = 100  # results that the rate and the latency on the screen are of
 _SHOWN_S = 1.0
 _POLL_S = 0.1
 _START_S = 0.5  # files begin so long after their threads
+
+Taker = Callable[[str, Shot], None]
 
 # A first pose is wanted soon: 2.5 s of a core instead of 3.8 s; whoever sets more gets more.
 LIVE_DEFAULTS = ("pose.n_start_frames=1", "pose.n_first_poses=4")
@@ -108,28 +110,19 @@ def run_live(
             made = Engine(session, order.config, store, nothing, seed=order.seed, n_threads=order.n_threads)
             return stack.enter_context(made)
 
+        takers = [pairing.add]
+        recording = stack.enter_context(Recording(session)) if order.is_recorded else None
         # Files begin when all is ready; cameras film the empty room first.
         made = engine() if order.background_s <= 0 else None
-        start_s = time.monotonic() + _START_S
-        threads = [
-            CameraThread(
-                c,
-                order.sources[c.name],
-                pairing.add,
-                pace=_pace(session, c.name, order.rate),
-                start_s=start_s,
-            )
-            for c in rig
-        ]
-        for thread in threads:
-            stack.callback(thread.stop)
-            thread.start()
+        threads = _filming(order, takers, stack)
         if order.background_s > 0:
             learn_room(session, pairing, order.background_s, count_down)
         made = made or engine()
-        recording = stack.enter_context(Recording(session)) if order.is_recorded else None
+        if recording is not None:
+            keep_backgrounds(session)
+            takers.append(recording.put)
         last_s = time.monotonic()
-        for result in made.results(_sets(order, pairing, threads, recording)):
+        for result in made.results(_sets(order, pairing, threads)):
             status.note(result)
             for sink in sinks:
                 sink.put(result)
@@ -141,22 +134,42 @@ def run_live(
     return status
 
 
+def _filming(order: LiveOrder, takers: Sequence[Taker], stack: ExitStack) -> list[CameraThread]:
+    """The cameras at work, until the stack is left; every picture goes to all takers, also those that come later."""
+
+    def take(name: str, shot: Shot) -> None:
+        for taker in takers:
+            taker(name, shot)
+
+    session, start_s = order.session, time.monotonic() + _START_S
+    threads = [
+        CameraThread(
+            camera,
+            order.sources[camera.name],
+            take,
+            pace=_pace(session, camera.name, order.rate),
+            start_s=start_s,
+        )
+        for camera in session.rig
+    ]
+    for thread in threads:
+        stack.callback(thread.stop)
+        thread.start()
+    return threads
+
+
 def _pace(session: Session, name: str, rate: float) -> Pace:
     """How a camera's file is played: a session's clips by its clocks."""
     places = session.clip_frames.get(name)
     return Pace(session.fps, rate, places, 0 if places is None else session.frames.start)
 
 
-def _sets(
-    order: LiveOrder, pairing: Pairing, threads: Sequence[CameraThread], recording: Recording | None
-) -> Iterator[PictureSet]:
+def _sets(order: LiveOrder, pairing: Pairing, threads: Sequence[CameraThread]) -> Iterator[PictureSet]:
     """The newest set whenever one is asked for, until the sources end or the time is over."""
     until_s = None if order.seconds is None else time.monotonic() + order.seconds
     while until_s is None or time.monotonic() < until_s:
         found = pairing.take(_POLL_S)
         if found is not None:
-            if recording is not None:
-                recording.put(found)
             yield found
             continue
         errors = [thread.error for thread in threads if thread.error is not None]
