@@ -27,8 +27,8 @@ from eval.whole import write_csv
 
 RESULTS = ROOT / "eval" / "results" / "live.csv"
 FIELDS = (
-    "session", "mode", "cameras", "cores", "preset", "threads", "results", "first_pose_s", "search_cpu_s", "cpu_ms",
-    "results_per_s", "latency_p50_ms", "latency_p95_ms", "dropped", "error_mm",
+    "session", "mode", "cameras", "cores", "preset", "threads", "results", "height_s", "first_pose_s", "search_cpu_s",
+    "cpu_ms", "results_per_s", "latency_p50_ms", "latency_p95_ms", "dropped", "error_mm",
 )  # fmt: skip
 
 
@@ -69,6 +69,7 @@ class Errors:
         self._truth = read_landmarks_csv(session_root / "truth" / "landmarks.csv")
         self._n = max(len(person.frames) for person in self._truth)
         self.errors_mm: list[float] = []
+        self.height_s: float | None = None
         self.first_pose_s: float | None = None
         self._began_s: float | None = None
         self.latencies_s: list[float] = []
@@ -78,6 +79,8 @@ class Errors:
         if self._began_s is None and result.persons:
             self._began_s = result.time_s
         for person in result.persons:
+            if self.height_s is None and self._began_s is not None and person.height_m is not None:
+                self.height_s = result.time_s - self._began_s
             if person.pose is None:
                 continue
             if self.first_pose_s is None and self._began_s is not None:
@@ -114,6 +117,7 @@ def every(root: Path, n_cameras: int, preset: str, seconds: float, work: Path) -
     followed = costs[-len(errors.latencies_s) + 1 :]
     return {
         "results": len(costs),
+        "height_s": _rounded(errors.height_s),
         "first_pose_s": _rounded(errors.first_pose_s),
         "search_cpu_s": round(max(costs), 2),
         "cpu_ms": round(1000 * float(np.median(followed)), 1),
@@ -137,6 +141,7 @@ def live(
     p50, p95 = (1000 * float(np.percentile(errors.latencies_s, p)) for p in (50, 95))
     return {
         "results": status.n_results,
+        "height_s": _rounded(errors.height_s),
         "first_pose_s": _rounded(errors.first_pose_s),
         "cpu_ms": round(1000 * cpu_s / status.n_results, 1),
         "results_per_s": round(status.results_per_s, 1),
