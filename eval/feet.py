@@ -3,8 +3,9 @@ squats.
 
     python -m eval.feet [--only walk,jog] [--seeds 1] [--bodies girdle,whole] [--work out/eval]
 
-Runs the default preset on whole scenes, masks from the videos, with the body `girdle` (no feet, outlines at 3 as
-when it was the default), the default body (`whole`), and that with feet that are not held on the floor (`whole-free`); stages before the poses are computed once per scene. Writes
+Runs the default preset on whole scenes, masks from the videos, with the default body (`whole`), with its feet not held
+on the floor (`whole-free`), and with the body `girdle` (no feet) and outlines at 3, as when it was the default; stages
+before the poses are computed once per scene. Writes
 eval/results/feet.csv: one row per scene, seed and body. `dev:NAME` is a realistic development session.
 """
 
