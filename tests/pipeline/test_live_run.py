@@ -326,9 +326,11 @@ def test_live_cameras_are_followed_and_recorded(film: Film, root: Path, tmp_path
     config = load_config("default", (*PLAIN, "volume.voxel_size_m=0.06", *LIVE_SETTINGS))
     run_session(recorded, tmp_path / "again", config=config, until="track")
     assert len(read_tracks_csv(tmp_path / "again" / "tracks.csv")) > len(recorded.frames) // 2
-    again = mocap(*words)
+    kept = {path: path.read_bytes() for path in out.glob("*.toml")}
+    again = mocap(*live_words(film, root, out, "--fps", 2 * FPS, "--seconds", 1))
     assert again.code == 2
     assert "recording already" in again.err
+    assert kept == {path: path.read_bytes() for path in out.glob("*.toml")}
     assert len(read_timestamps_csv(out / "timestamps.csv")["cam_0"]) == len(stamps["cam_0"])
 
 

@@ -62,7 +62,12 @@ def sources_by_camera(words: Sequence[str], rig: CameraRig, calibration: Path) -
 
 
 def live_session(root: Path, calibration: Path, names: Sequence[str], fps: float) -> Session:
-    """A session of cameras that film now; its folder holds the calibration."""
+    """A session of cameras that film now; its folder holds the calibration.
+
+    Raises MocapError for a folder with a recording, whose calibration and empty room are kept as they are.
+    """
+    if (root / TIMESTAMPS_FILE).exists() or any((root / "videos").glob("*")):
+        raise MocapError("there is a recording already", path=root, remedy="choose another folder with -o")
     found = read_calibration(calibration)
     rig = found.rig.subset([name for name in found.rig.names if name in names])
     root.mkdir(parents=True, exist_ok=True)
@@ -164,17 +169,13 @@ class Recording:
     """All pictures of the cameras as videos/ of a session, with when they were taken; use as context manager.
 
     `put` is called on the cameras' threads: each codes its own pictures, so that nobody else waits for it.
-    Raises MocapError where a recording lies already, or where none can be written.
+    Raises MocapError where none can be written.
     """
 
     def __init__(self, session: Session) -> None:
         self._session = session
         self._folder = session.root / "videos"
         self._stamps_path = session.root / TIMESTAMPS_FILE
-        if self._stamps_path.exists() or any(self._folder.glob("*")):
-            raise MocapError(
-                "there is a recording already", path=self._folder, remedy="choose another folder with -o"
-            )
         self._folder.mkdir(parents=True, exist_ok=True)
         self._writers = {camera.name: self._opened(camera) for camera in session.rig}
         self._n_of = dict.fromkeys(self._writers, 0)
