@@ -9,7 +9,8 @@ with most evidence; the best path of all (Viterbi: evidence less a cost of motio
 evidence gains; the mean weighted by evidence; or the one nearest to the truth (`oracle`), which no method can beat.
 `all frames at once` solves for the poses of a clip together: residuals of hull and outlines of every frame, with the
 variance that the fit of each has, and accelerations (Gauss-Newton, block-banded). All are smoothed as usual but where
-it says so. Writes eval/results/second_pass.csv; five minutes of one core.
+it says so. Without --only it
+writes eval/results/second_pass.csv; seven minutes of one core.
 """
 
 from __future__ import annotations
