@@ -9,8 +9,7 @@ with most evidence; the best path of all (Viterbi: evidence less a cost of motio
 evidence gains; the mean weighted by evidence; or the one nearest to the truth (`oracle`), which no method can beat.
 `all frames at once` solves for the poses of a clip together: residuals of hull and outlines of every frame, with the
 variance that the fit of each has, and accelerations (Gauss-Newton, block-banded). All are smoothed as usual but where
-it says so. Without --only it
-writes eval/results/second_pass.csv; seven minutes of one core.
+it says so. Writes eval/results/second_pass.csv, but for some of the sessions alone; seven minutes of one core.
 """
 
 from __future__ import annotations
