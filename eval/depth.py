@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from eval.keypoints import scores
+from eval.evidence import scores
 from eval.whole import write_csv, write_text
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,8 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.keypoint_places import DEV, files_of
-from eval.keypoints import FITTED_ON
+from eval.keypoint_places import DEV, FITTED_ON, files_of
 from mocap.data import LANDMARKS
 from mocap.data.keypoints import KEYPOINTS
 from mocap.io.calibration import read_calibration

@@ -20,6 +20,7 @@ from mocap.likelihood.keypoints import KeypointProblem, KeypointSettings, Keypoi
 from mocap.likelihood.residuals.total import SumProblem
 from mocap.likelihood.voxels import VoxelProblem
 from mocap.pose.evidence import FrameFit
+from mocap.pose.keypoint import agreeing
 from mocap.pose.volume import PreparedHull, VolumeEvidence, VolumeObservation, VolumeTools
 
 Array = NDArray[np.float64]
@@ -56,8 +57,9 @@ class FusedEvidence(VolumeEvidence):
             return None
         numbers = self.tools.settings.method.keypoints
         # What angles are usual is part of the volume's residuals already.
-        settings = KeypointSettings(numbers.scale, numbers.fused_worth, usual_weight=0.0)
-        views = replace(self.views, noise_px=numbers.fused_noise * self.views.noise_px)
+        settings = KeypointSettings(numbers.fused_scale, numbers.fused_worth, usual_weight=0.0)
+        views = agreeing(self.views, numbers)
+        views = replace(views, noise_px=numbers.fused_noise * views.noise_px)
         return KeypointProblem(self.tools.body, place_keypoints(self.tools.body), views, settings)
 
     @cached_property

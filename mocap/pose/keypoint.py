@@ -179,6 +179,14 @@ def points_of(views: KeypointViews, numbers: KeypointPoseSettings) -> Array:
     return triangulate_agreeing(views.P, views.uv, numbers.scale * views.noise_px).points
 
 
+def agreeing(views: KeypointViews, numbers: KeypointPoseSettings) -> KeypointViews:
+    """The views of every keypoint that agree on a point, without those that do not; of a keypoint on which no two views
+    agree all of them."""
+    agrees = triangulate_agreeing(views.P, views.uv, numbers.scale * views.noise_px).agrees
+    kept = agrees | ~agrees.any(axis=0)
+    return replace(views, uv=np.where(kept[..., None], views.uv, np.nan))
+
+
 @dataclass(frozen=True, eq=False)
 class KeypointObservation:
     """The keypoints of one person over a clip. Implements `Observation`."""

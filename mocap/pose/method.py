@@ -644,6 +644,9 @@ class KeypointPoseSettings(_Strict):
     fused_worth: float = 1.0
     """The same beside volumes, with `fused_noise`: a limb on which views agree outweighs a volume that lacks it, while
     small differences, offsets of a tool perhaps, weigh as little as alone."""
+    fused_scale: float = 8.0
+    """As `scale`, beside volumes: views that do not agree with the others have no say there, and those that do outweigh
+    a volume which lacks a whole limb."""
     fused_noise: float = 3.0
     """Factor on the deviation of keypoints beside volumes."""
     elsewhere_m: float = 0.1

@@ -142,3 +142,26 @@ def test_two_views_that_do_not_meet_give_no_point() -> None:
     found = triangulate_agreeing(views.P[:2], uv, 3.0 * views.noise_px[:2])
     assert np.isnan(found.points).all()
     assert not found.agrees.any()
+
+
+def test_a_head_of_which_no_point_is_named_is_held_upright() -> None:
+    """Nothing else would hold it: searches would leave it where they have drawn it."""
+    views, p = exact_views(), problem()
+    face = [
+        k
+        for k, name in enumerate(KEYPOINTS)
+        if name.rpartition("_")[2] in ("nose", "head", "neck", "eye", "ear")
+    ]
+    uv = views.uv.copy()
+    uv[:, face] = np.nan
+    state = keypoint_world().states[0][3].copy()
+    neck = [name.startswith("neck_") for name in p.layout.names]
+    state[neck] = 0.6
+    blind = replace(p, views=replace(views, uv=uv))
+    found, _ = refine(
+        blind, state, RefineSettings(np.full(len(state), 0.5), residual_std_m=1.0, n_iterations=20)
+    )
+    assert np.abs(found[neck]).max() < 0.4
+    seen, _ = refine(p, state, RefineSettings(np.full(len(state), 0.5), residual_std_m=1.0, n_iterations=20))
+    true = keypoint_world().states[0][3][neck]
+    assert np.abs(seen[neck] - true).max() < 0.05, "where a face is seen it tells"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from flesh_voxels import Flesh
@@ -11,11 +13,13 @@ from mocap.body import landmarks_of, neutral_state
 from mocap.body.keypoints import place_keypoints
 from mocap.body.markers import marker_positions
 from mocap.data import LANDMARKS
+from mocap.data.keypoints import KEYPOINTS
 from mocap.likelihood.keypoints import KeypointViews
 from mocap.likelihood.markers import marker_views
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose.fused import FusedEvidence, FusedObservation
+from mocap.pose.keypoint import agreeing
 from mocap.pose.volume import PersonHull, VolumeObservation, VolumeTools
 
 ARM = ("left_upper_arm", "left_forearm")
@@ -118,3 +122,16 @@ def test_another_body_takes_its_keypoints_along(
     assert fused.keypoints is not None
     assert fused.keypoints.body is larger.body
     assert fused.coarse.evidence([truth]) != evidence(tools, hull, None).coarse.evidence([truth])
+
+
+def test_views_that_disagree_with_the_others_have_no_say(tools: VolumeTools, truth: np.ndarray) -> None:
+    views, numbers = views_of(tools, truth), tools.settings.method.keypoints
+    wrist, knee = KEYPOINTS.index("left_wrist"), KEYPOINTS.index("left_knee")
+    uv = views.uv.copy()
+    uv[2, wrist] += 80.0
+    uv[[0, 3], knee] = np.nan
+    uv[1, knee] += [0.0, 90.0]  # two views are left, and they do not agree: nobody knows which is wrong
+    kept = agreeing(replace(views, uv=uv), numbers).has_say
+    expected = np.isfinite(uv).all(axis=2)
+    expected[2, wrist] = False
+    np.testing.assert_array_equal(kept, expected)

@@ -28,6 +28,8 @@ class KeypointSettings:
     """What a residual is worth as evidence: views of one keypoint err alike, and for many frames."""
     usual_weight: float = 1.0
     """Weight of what angles are usual: it holds joints on which no keypoint sits, as collar bones."""
+    neck_std: float = 0.5
+    """How far a neck usually is from straight, rad: many tools name no point of a head, which then hangs anywhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,9 @@ class KeypointProblem:
     @cached_property
     def usual_information(self) -> Array:
         """(D,) weight of every angle's departure from what is usual, rad^-2."""
-        return np.asarray(self.settings.usual_weight * self.body.usual_std**-2.0)
+        std = self.body.usual_std.copy()
+        std[[name.startswith("neck_") for name in self.layout.names]] = self.settings.neck_std
+        return np.asarray(self.settings.usual_weight * std**-2.0)
 
     def propagate(self, particles: Array, std: Array, *, rng: np.random.Generator) -> Array:
         return truncated_gaussian_step(particles, std, self.layout.lower, self.layout.upper, rng=rng)

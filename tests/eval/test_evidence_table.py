@@ -1,16 +1,19 @@
-"""The keypoints table: how estimates and true persons are put together and scored."""
+"""The table of evidence: how estimates and true persons are put together and scored, and what its page says."""
 
 from __future__ import annotations
 
 import csv
 import re
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from eval.keypoints import DEV, RESULTS, ROOT, cases, landmarks_of_points, scores
+from docs import make_evidence
+from eval.evidence import RESULTS, ROOT, TABLES, scores
+from eval.evidence_scenes import SCENES, scene_of
+from eval.triangulation import landmarks_of_points
 from mocap.data import LANDMARKS, Motion
 from mocap.data.keypoints import KEYPOINTS, N_KEYPOINTS
 
@@ -53,12 +56,28 @@ def test_landmarks_that_no_tool_names_are_midpoints() -> None:
     np.testing.assert_allclose(found[LANDMARKS.index("left_knee")], points[KEYPOINTS.index("left_knee")])
 
 
-def test_triangulation_needs_no_seeds(tmp_path: Path) -> None:
-    if not DEV.is_dir():
-        pytest.skip("no ../shared/dev_sessions beside the project")
-    wanted = list(cases(["room"], [2, 7], ["triangulation", "keypoints"], 3, tmp_path))
-    assert {c.cameras for c in wanted} == {2, 5}
-    assert [c.seed for c in wanted if c.method == "triangulation"] == [0, 0]
+def test_tables_have_every_scene_by_cameras_and_method() -> None:
+    table = TABLES["evidence.csv"]
+    assert len(set(table)) == len(table) == 5 * 4 * 3 + 5 * 2
+    assert {c.session for c in table if c.method == "fused_depth"} == set(SCENES)
+    assert {c.cameras for c in TABLES["keypoints.csv"] if c.session == "room"} == {2, 3, 4, 5}
+    assert not any(c.method == "fused_depth" for c in TABLES["keypoints_fused.csv"])
+
+
+def test_another_seed_is_another_scene() -> None:
+    """Seeds of scene and persons move apart, and none of two scenes meet."""
+    seeds = [seed for name in SCENES for k in range(5) for seed in seeds_of(scene_of(name, k))]
+    assert len(set(seeds)) == len(seeds)
+    assert seeds_of(scene_of("clean", 0)) == seeds_of({"seed": 5101, "persons": [{"seed": 5111}]})
+
+
+def seeds_of(scene: dict[str, Any]) -> list[int]:
+    return [scene["seed"], *(person["seed"] for person in scene["persons"])]
+
+
+def test_the_page_says_what_the_table_of_scenes_says() -> None:
+    page = make_evidence.PAGE.read_text(encoding="utf-8")
+    assert make_evidence.written(page, make_evidence.rows()) == page
 
 
 def test_the_page_says_what_the_table_of_volumes_with_keypoints_says() -> None:
