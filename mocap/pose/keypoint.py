@@ -147,12 +147,14 @@ class KeypointEvidence:
     def fit(self, state: Array, kept_parts: NDArray[np.bool_] | None = None) -> FrameFit:
         """How a state (D,) fits; a landmark is observed when two views or more see a keypoint near it where it is."""
         _, information, _ = self.search.normal_equations(state)
-        usual = np.diag(self.search.usual_information)
+        usual = self.search.usual_information
+        # How a neck usually is tells of a second, not of every frame anew: heads stay as they are.
+        each = np.where(np.isinf(self.tools.body.usual_std), usual / self.tools.fps, usual)
         n_near = self._views_near(state)
         observed = np.asarray((self.tools.near & (n_near >= 2)).any(axis=1))
         judged = np.asarray((self.tools.near & (self.views.n_views >= 2)).any(axis=1))
         return FrameFit(
-            information=self.search.settings.worth * (information - usual) + usual,
+            information=self.search.settings.worth * (information - np.diag(usual)) + np.diag(each),
             misfit=self._misfit(state),
             unexplained=0.0,
             log_likelihood=float(self.log_likelihood([state])[0]),
