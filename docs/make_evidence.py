@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eval.evidence import METHODS, RESULTS
+from eval.evidence import RESULTS
 from mocap.view.plotting import LINE_COLOURS, LINE_STYLES, finish, new_figure, png
 
 HERE = Path(__file__).parent
@@ -24,8 +24,8 @@ WORDS = {
     "keypoints": "keypoints alone",
     "volumes": "volumes alone",
     "fused": "volumes and keypoints",
-    "fused_depth": "and depth",
 }
+METHODS = tuple(WORDS)
 TITLES = {
     "clean": "clean",
     "furnished": "furnished",
