@@ -94,7 +94,7 @@ def draw(found: Sequence[Row]) -> bytes:
     """Errors over cameras, a panel for each session."""
     sessions = list(dict.fromkeys(r["session"] for r in found))
     n_columns = 3
-    figure, panels = new_figure(-(-len(sessions) // n_columns), height=1.9, width=9.5, n_columns=n_columns)
+    figure, panels = new_figure(-(-len(sessions) // n_columns), height=1.7, width=8.2, n_columns=n_columns)
     for ax in panels[len(sessions) :]:
         ax.axis("off")
     for k, (ax, session) in enumerate(zip(panels, sessions, strict=False)):

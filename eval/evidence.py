@@ -85,10 +85,7 @@ def cases(
 
 
 TABLES: dict[str, tuple[Case, ...]] = {
-    "evidence.csv": (
-        *cases(tuple(SCENES), CAMERAS, METHODS[:3], 0),
-        *cases(tuple(SCENES), (4,), ("fused",), 0),
-    ),
+    "evidence.csv": tuple(cases(tuple(SCENES), CAMERAS, METHODS[:4], 0)),
     "keypoints.csv": tuple(cases(DEV_SESSIONS, CAMERAS, METHODS[:2], 0)),
     "keypoints_fused.csv": (
         *cases(DEV_SESSIONS[:3], (4, 7), ("volumes", "fused"), 0),
