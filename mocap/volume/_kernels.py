@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
+from mocap.data._voxel_kernels import subscripts_of
+
 
 @njit(cache=True, nogil=True)
 def subscripts_and_bounds(voxels, ny, nz):
@@ -18,13 +20,8 @@ def subscripts_and_bounds(voxels, ny, nz):
     subs = np.empty((n, 3), dtype=np.int32)
     lower = np.full(3, 2**31 - 1, dtype=np.int64)
     upper = np.zeros(3, dtype=np.int64)
+    subscripts_of(voxels, ny, nz, subs)
     for i in range(n):
-        v = np.uint32(voxels[i])
-        ixy = v // np.uint32(nz)
-        ix = ixy // np.uint32(ny)
-        subs[i, 0] = ix
-        subs[i, 1] = ixy - ix * np.uint32(ny)
-        subs[i, 2] = v - ixy * np.uint32(nz)
         for a in range(3):
             lower[a] = min(lower[a], np.int64(subs[i, a]))
             upper[a] = max(upper[a], np.int64(subs[i, a]) + 1)
