@@ -62,7 +62,7 @@ class Seen:
     index : place in the clip.  pictures : (H, W, 3) uint8 RGB of every camera, empty of one that gives none now.
     masks : (H, W) bool of every camera.  depth : (H, W) float32 m of every camera with depth maps, 0 = no reading.
     tracks : those of the tracker in this frame, as they are called until now.  owner : (N,) serial + 1 of the track
-    that holds each voxel of the hull, 0 = nobody.
+    that holds each voxel of the hull, 0 = nobody.  begun : what the first half of a step leaves to the second.
     """
 
     index: int
@@ -73,6 +73,7 @@ class Seen:
     hull: Hull | None = None
     tracks: Sequence[Any] | None = None
     owner: NDArray[np.uint32] | None = None
+    begun: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +109,8 @@ class FrameWork:
     step : gives the frame with what was found in it, for the stages that walk along, and the rows that are certain by
     now, of this frame or earlier.
     finds : fields of `Seen` that a step fills in; a stage that walks along reads them from no file.
+    then : the second half of a step, which needs nothing of the state: it is at work on a frame while the first half is
+    on the next one. What it is to know is `Seen.begun`.
     """
 
     reads: Callable[[Job], Sources]
@@ -115,6 +118,7 @@ class FrameWork:
     step: Callable[[Any, Seen], tuple[Any, Seen, Sequence[Row]]]
     finish: Callable[[Any], Ending]
     finds: tuple[str, ...] = ()
+    then: Callable[[Seen], tuple[Seen, Sequence[Row]]] | None = None
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,18 @@ store. While one stage works on a frame, the next one works on the frame before.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 from mocap.io.store import StageWriter
 from mocap.pipeline.stage import ClipWork, Ending, FrameWork, Job, Row, Seen, Sources, Stage
 from mocap.profiling import part
 from mocap.threads import Ahead
+
+T = TypeVar("T")
 
 # Frames that a stage may be ahead of the next one; pictures and volumes of no more are held.
 _AHEAD_FRAMES = 2
@@ -60,41 +62,67 @@ def run_together(stages: Sequence[tuple[Stage, Job]]) -> dict[str, float]:
         left: Sequence[Walker] = walkers
         while left:
             left = _walk(left)
-    return {walker.stage.name: walker.busy_s for walker in walkers}
+    return {walker.stage.name: walker.wall_s for walker in walkers}
+
+
+Found = tuple[Seen, Sequence[Row]]
+"""A frame with what was found in it, and the rows that are certain by now."""
 
 
 class Walker:
-    """A stage that works frame by frame, with its state.  busy_s : how long it has worked."""
+    """A stage that works frame by frame, with its state.  busy_s : how long each half of its steps has worked."""
 
     def __init__(self, stage: Stage, job: Job) -> None:
         assert isinstance(stage.work, FrameWork)
         self.stage, self.work, self.job = stage, stage.work, job
-        self.busy_s = 0.0
+        self.busy_s = [0.0, 0.0]
         self.start()
 
     def start(self, state: Any = None) -> None:
         """Begin a walk, with a state or anew."""
-        started = time.perf_counter()
-        self.state = self.work.start(self.job) if state is None else state
-        self.busy_s += time.perf_counter() - started
+        with self._timed(0):
+            self.state = self.work.start(self.job) if state is None else state
 
-    def step(self, seen: Seen) -> tuple[Seen, Sequence[Row]]:
-        """One frame: with what was found in it, and the rows that are certain by now."""
-        started = time.perf_counter()
-        with part(self.stage.name):
-            self.state, seen, rows = self.work.step(self.state, seen)
-        self.busy_s += time.perf_counter() - started
-        return seen, rows
+    @property
+    def wall_s(self) -> float:
+        """How long it has worked; of halves side by side, the longer."""
+        return sum(self.busy_s) if self.job.n_threads == 1 else max(self.busy_s)
 
-    def steps(self, frames: Iterable[Seen], recorder: Recorder) -> Iterator[Seen]:
-        """The frames in order, with what was found in them."""
+    def step(self, seen: Seen) -> Found:
+        """One frame, both halves."""
+        return self._second(self._first(seen))
+
+    def steps(
+        self, frames: Iterable[Seen], recorder: Recorder, apart: Callable[[Iterator[Found]], Iterator[Found]]
+    ) -> Iterator[Seen]:
+        """The frames in order, with what was found in them.  apart : has what it is given made on another thread."""
         n = len(self.job.session.frames)
-        for seen in frames:
-            found, rows = self.step(seen)
+        found = map(self._first, frames)
+        for seen, rows in found if self.work.then is None else map(self._second, apart(found)):
             recorder.take(rows)
             if seen.index + 1 < n:  # the last one is done when the products are
                 self.job.progress(self.stage.name, seen.index + 1, n)
-            yield found
+            yield seen
+
+    def _first(self, seen: Seen) -> Found:
+        with self._timed(0), part(self.stage.name):
+            self.state, seen, rows = self.work.step(self.state, seen)
+        return seen, rows
+
+    def _second(self, found: Found) -> Found:
+        if self.work.then is None:
+            return found
+        with self._timed(1), part(self.stage.name):
+            seen, rows = self.work.then(found[0])
+        return replace(seen, begun=None), (*found[1], *rows)
+
+    @contextmanager
+    def _timed(self, half: int) -> Iterator[None]:
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.busy_s[half] += time.perf_counter() - started
 
 
 class Recorder:
@@ -167,12 +195,16 @@ def _once(walkers: Sequence[Walker]) -> Sequence[Walker]:
 
 
 def _go(walkers: Sequence[Walker], recorders: Sequence[Recorder], streams: ExitStack) -> None:
-    """Every frame through the hands of all walkers, each on a thread of its own where there are several."""
+    """Every frame through the hands of all walkers, each half of a step on a thread of its own where there are some."""
+
+    def apart(stream: Iterator[T]) -> Iterator[T]:
+        if walkers[0].job.n_threads == 1:
+            return stream
+        return streams.enter_context(Ahead(stream, _AHEAD_FRAMES))
+
     stream: Iterator[Seen] = _frames(walkers, streams)
     for walker, recorder in zip(walkers, recorders, strict=True):
-        stream = walker.steps(stream, recorder)
-        if walker.job.n_threads > 1 and walker is not walkers[-1]:
-            stream = streams.enter_context(Ahead(stream, _AHEAD_FRAMES))
+        stream = walker.steps(stream if walker is walkers[0] else apart(stream), recorder, apart)
     for _ in stream:
         pass
 
@@ -199,5 +231,5 @@ def _read(first: Walker, values: Mapping[str, Iterator[tuple[int, Any]]]) -> Ite
         started = time.perf_counter()
         with part("read"):
             seen = Seen(i, frame, **{name: next(rows)[1] for name, rows in values.items()})
-        first.busy_s += time.perf_counter() - started
+        first.busy_s[0] += time.perf_counter() - started
         yield seen

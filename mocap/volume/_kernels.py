@@ -353,19 +353,81 @@ def paint_left_out(pixels, is_miss, depth, width, half_at_1m, shrink, tolerance,
 
 
 @njit(cache=True, nogil=True)
-def count_common(mask, silhouette, rect, counts):
-    """Cells of a mask (h, w) uint8 in [0, 1] that bits 0 and 1 of a silhouette cover, into counts (2,).
+def regions_met(masks, hulls, own, rects, cells, work):
+    """Of each camera's mask the regions that meet its silhouette; corners join regions.
 
-    rect : u0, u1, v0, v1 inclusive, holds the mask.
+    masks : (C, h, w) uint8 of 0 and 1.  hulls : (C, h, w) uint8, 0 = outside the silhouette.  own : (C, h, w) uint8
+    zeros, out: those regions.  rects : (C, 4) out: u0, u1, v0, v1 inclusive, around them; u1 < u0 without any.
+    cells : (C,) out: their size.  work : (h * w,) int32.
     """
-    one, two = 0, 0
-    for y in range(rect[2], rect[3] + 1):
-        for x in range(rect[0], rect[1] + 1):
-            both = mask[y, x] * silhouette[y, x]
-            one += both & 1
-            two += both >> 1
-    counts[0] = one
-    counts[1] = two
+    n_cameras, rows, columns = masks.shape
+    for c in range(n_cameras):
+        mask, mine = masks[c], own[c]
+        n, u0, u1, v0, v1 = 0, columns, -1, rows, -1
+        for y in range(rows):
+            for x in range(columns):
+                if mask[y, x] == 0 or hulls[c, y, x] == 0 or mine[y, x] != 0:
+                    continue
+                mine[y, x] = 1
+                work[n] = y * columns + x
+                first, n = n, n + 1
+                while first < n:
+                    v = work[first] // columns
+                    u = work[first] - v * columns
+                    first += 1
+                    u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
+                    for j in range(max(v - 1, 0), min(v + 2, rows)):
+                        for i in range(max(u - 1, 0), min(u + 2, columns)):
+                            if mask[j, i] != 0 and mine[j, i] == 0:
+                                mine[j, i] = 1
+                                work[n] = j * columns + i
+                                n += 1
+        rects[c, 0], rects[c, 1], rects[c, 2], rects[c, 3] = u0, u1, v0, v1
+        cells[c] = n
+
+
+@njit(cache=True, nogil=True)
+def uncovered_shares(own, cells, rects, hulls, hull_cells, expected, limits, column, uncovered, strict):
+    """Shares of the cameras' masks in one frame outside the silhouettes of another, into a column of both (C, L).
+
+    own, cells, rects : as of `regions_met`.  hulls : (C, h, w) uint8, bit 0 the silhouette, bit 1 the strict one.
+    hull_cells, expected : (C,) size of the silhouette, and of what a mask must meet.  limits : cells with which a
+    silhouette says something, and share of the expected ones that a mask must cover; else its share is 1.
+    """
+    for c in range(own.shape[0]):
+        if hull_cells[c] < limits[0]:
+            continue
+        one, two = 0, 0
+        for y in range(rects[c, 2], rects[c, 3] + 1):
+            for x in range(rects[c, 0], rects[c, 1] + 1):
+                both = own[c, y, x] * hulls[c, y, x]
+                one += both & 1
+                two += both >> 1
+        if one < limits[1] * expected[c]:
+            uncovered[c, column] = strict[c, column] = 1.0
+        else:
+            uncovered[c, column] = 1.0 - one / cells[c]
+            strict[c, column] = 1.0 - two / cells[c]
+
+
+@njit(cache=True, nogil=True)
+def light_of(picture, steps, before, is_known):
+    """Mean and standard deviation of the green of some pixels of a picture, and their mean change; grey levels.
+
+    picture : (H, W, 3) uint8.  steps : every so many rows and columns are looked at.  before : (rows, columns) uint8,
+    those pixels of the last picture, in and out.  is_known : there was one; else the change is NaN.
+    """
+    total, square, change = 0, 0, 0
+    for j in range(before.shape[0]):
+        for i in range(before.shape[1]):
+            value = np.int64(picture[j * steps[0], i * steps[1], 1])
+            total += value
+            square += value * value
+            change += abs(value - np.int64(before[j, i]))
+            before[j, i] = value
+    n = before.size
+    mean = total / n
+    return mean, math.sqrt(max(square / n - mean * mean, 0.0)), change / n if is_known else math.nan
 
 
 @njit(cache=True, nogil=True)

@@ -35,6 +35,7 @@ _FOOTPRINT = 1.2  # width of a painted voxel, as in residuals.py
 _MIN_VIEWS = 4
 MIN_CELLS = 12  # a silhouette with fewer cells says nothing
 _TOUCH_SHARE = 0.1  # of the hull's silhouette that a mask must cover to be the same person's
+_LIMITS = (float(MIN_CELLS), _TOUCH_SHARE)
 _OPEN_SHARE = (
     0.5  # of a hull in the picture, that no occluder hides, below which a camera is not judged by it
 )
@@ -100,6 +101,7 @@ class ConsistencyMonitor:
 
     grid : where persons may be; it is resampled at voxel_size_m, because silhouettes of a coarse hull will do.
     occluders : what stands before people; who is hidden from a camera is not expected in its mask.
+    n_frames : how many will be added, as far as is known.
     Memory is constant but for some hundred numbers per frame. Not thread-safe.
     """
 
@@ -110,6 +112,7 @@ class ConsistencyMonitor:
         occluders: Occluders | None = None,
         *,
         voxel_size_m: float = 0.05,
+        n_frames: int = 0,
     ) -> None:
         side = max(voxel_size_m, grid.voxel_size_m)
         self.rig = rig
@@ -122,7 +125,7 @@ class ConsistencyMonitor:
         self._recent: deque[_Frame] = deque(maxlen=MAX_LAG_FRAMES + 1)
         self._rows: list[_Row] = []
         self._samples: tuple[Image, ...] | None = None
-        self._snapshots = _Spread[Snapshot](_MAX_SNAPSHOTS)
+        self._snapshots = _Spread[Snapshot](_MAX_SNAPSHOTS, n_frames)
         self._samples_of_masks = _Spread[_Packed](_MAX_SAMPLES)
         self._bursts = _Spread[list[list[Array]]](_MAX_BURSTS)
         self._burst: list[list[Array]] | None = None
@@ -290,23 +293,22 @@ class ConsistencyMonitor:
     def _look_at(self, images: Sequence[Image] | None, row: _Row) -> None:
         if images is None:
             return
-        samples = tuple(np.ascontiguousarray(i[:: _SAMPLE_STEPS[0], :: _SAMPLE_STEPS[1], 1]) for i in images)
-        for c, sample in enumerate(samples):
-            row.brightness[c] = sample.mean()
-            row.contrast[c] = sample.std()
-            if self._samples is not None:
-                row.picture_change[c] = cv2.absdiff(sample, self._samples[c]).mean()
-        self._samples = samples
+        is_known = self._samples is not None
+        if self._samples is None:
+            down, across = _SAMPLE_STEPS
+            self._samples = tuple(np.zeros_like(i[::down, ::across, 1]) for i in images)
+        for c, (image, sample) in enumerate(zip(images, self._samples, strict=True)):
+            light = _kernels.light_of(image, _SAMPLE_STEPS, sample, is_known)
+            row.brightness[c], row.contrast[c], row.picture_change[c] = light
 
     def _compare(self) -> None:
         """Fill in what the newest frame says about the lags between it and the frames before."""
         now = self._recent[-1]
         for lag in range(len(self._recent)):
             then, row = self._recent[-1 - lag], self._rows[-1 - lag]
-            for c in range(len(self.rig)):
-                self._rows[-1].enter(c, MAX_LAG_FRAMES + lag, now, then)
-                if lag:
-                    row.enter(c, MAX_LAG_FRAMES - lag, then, now)
+            self._rows[-1].enter(MAX_LAG_FRAMES + lag, now, then)
+            if lag:
+                row.enter(MAX_LAG_FRAMES - lag, then, now)
 
     def _snapshot(self, frame: int, now: _Frame, images: Sequence[Image] | None) -> Snapshot:
         pictures = None
@@ -323,11 +325,16 @@ _Item = TypeVar("_Item")
 
 
 class _Spread(Generic[_Item]):
-    """Some of the things that were offered, evenly spread over all of them: at most so many, and at least half."""
+    """Some of the things that were offered, evenly spread over all of them: at most so many, and at least half.
 
-    def __init__(self, most: int) -> None:
+    n_expected : how many will be offered, as far as is known: what would not be kept is not even made.
+    """
+
+    def __init__(self, most: int, n_expected: int = 0) -> None:
         self.items: list[_Item] = []
         self._most, self._step, self._n_offered = most, 1, 0
+        while -(-n_expected // self._step) >= most:
+            self._step *= 2
 
     def add(self, make: Callable[[], _Item]) -> _Item | None:
         """Offer the next thing, which is made only when it is taken; None when it is not."""
@@ -377,23 +384,19 @@ def _corners(lower: Array, upper: Array) -> Array:
 
 
 class _Frame:
-    """Small masks and silhouettes of a frame, and of each mask the part that meets its silhouette."""
+    """Small masks and silhouettes of a frame, and of each mask the part that meets its silhouette.
+
+    Only regions that touch the hull's silhouette: what else a camera sees, a bystander outside the room or a moving
+    curtain, is no evidence.
+    """
 
     def __init__(self, masks: Small, hulls: Small) -> None:
         self.masks, self.hulls = masks, hulls
         self.own = np.zeros_like(masks)
-        self.rects = np.zeros((len(masks), 4), dtype=np.int64)
-        self.cells = np.zeros(len(masks), dtype=np.int64)
-        for c, (mask, hull) in enumerate(zip(masks, hulls, strict=True)):
-            # Only regions that touch the hull's silhouette: what else a camera sees, a bystander outside the
-            # room or a moving curtain, is no evidence.
-            n_labels, labels = cv2.connectedComponents(mask, connectivity=8, ltype=cv2.CV_16U)
-            is_met = np.zeros(n_labels, dtype=np.uint8)
-            is_met[labels[(hull & mask) > 0]] = 1
-            self.own[c] = is_met[labels]
-            u, v, w, h = cv2.boundingRect(self.own[c])
-            self.rects[c] = u, u + w - 1, v, v + h - 1
-            self.cells[c] = int(self.own[c].sum())
+        self.rects = np.empty((len(masks), 4), dtype=np.int64)
+        self.cells = np.empty(len(masks), dtype=np.int64)
+        work = np.empty(masks[0].size, dtype=np.int32)
+        _kernels.regions_met(masks, hulls, self.own, self.rects, self.cells, work)
         self.hull_cells = np.count_nonzero(hulls, axis=(1, 2))
         # What a mask must meet: the tighter silhouette, because a camera that sees foreground everywhere bloats the
         # other one.
@@ -417,15 +420,17 @@ class _Row:
         self.brightness = np.full(n_cameras, np.nan, dtype=np.float32)
         self.contrast = np.full(n_cameras, np.nan, dtype=np.float32)
 
-    def enter(self, c: int, column: int, own: _Frame, other: _Frame) -> None:
-        """Compare camera c's mask in one frame with the silhouette of the others' hull in another."""
-        if other.hull_cells[c] < MIN_CELLS:
-            return
-        common = np.zeros(2, dtype=np.int64)
-        if own.cells[c]:
-            _kernels.count_common(own.own[c], other.hulls[c], own.rects[c], common)
-        if common[0] < _TOUCH_SHARE * other.expected_cells[c]:
-            self.uncovered[c, column] = self.strict[c, column] = 1.0
-            return
-        self.uncovered[c, column] = 1.0 - common[0] / own.cells[c]
-        self.strict[c, column] = 1.0 - common[1] / own.cells[c]
+    def enter(self, column: int, own: _Frame, other: _Frame) -> None:
+        """Compare the cameras' masks in one frame with the silhouettes of the others' hulls in another."""
+        _kernels.uncovered_shares(
+            own.own,
+            own.cells,
+            own.rects,
+            other.hulls,
+            other.hull_cells,
+            other.expected_cells,
+            _LIMITS,
+            column,
+            self.uncovered,
+            self.strict,
+        )

@@ -27,9 +27,18 @@ AGAIN = 100  # added by a second walk
 
 
 def toy(
-    name: str, *, reads: Any = None, walks: int = 1, needs_whole: tuple[str, ...] = (), log: Any = None
+    name: str,
+    *,
+    reads: Any = None,
+    walks: int = 1,
+    needs_whole: tuple[str, ...] = (),
+    log: Any = None,
+    is_halved: bool = False,
 ) -> Stage:
-    """Doubles the number that the mask of a frame holds; its state is the walk it is in and the sum so far."""
+    """Doubles the number that the mask of a frame holds; its state is the walk it is in and the sum so far.
+
+    is_halved : the second half of a step, slower than the first, doubles it and knows the sum that the first left.
+    """
 
     def step(state: tuple[int, int], seen: Seen) -> tuple[tuple[int, int], Seen, Sequence[Row]]:
         assert seen.masks is not None
@@ -41,13 +50,27 @@ def toy(
         rows = [Row(name, seen.frame, {"x": np.array([value]), "total": np.array([total])})]
         return (walk, total), replace(seen, masks=[np.array([value])]), rows
 
+    def first(state: tuple[int, int], seen: Seen) -> tuple[tuple[int, int], Seen, Sequence[Row]]:
+        state, done, rows = step(state, seen)
+        return state, replace(seen, begun=(done, rows)), ()
+
+    def then(seen: Seen) -> tuple[Seen, Sequence[Row]]:
+        time.sleep(0.0005)
+        done, rows = seen.begun
+        return replace(done, begun="left over"), rows
+
     def finish(state: tuple[int, int]) -> Ending:
         return (
             Ending(again=(state[0] + 1, 0)) if state[0] < walks else Ending(attrs={name: {"walk": state[0]}})
         )
 
     work = FrameWork(
-        reads or (lambda job: stored(job.store, name)), lambda job: (1, 0), step, finish, ("masks",)
+        reads or (lambda job: stored(job.store, name)),
+        lambda job: (1, 0),
+        first if is_halved else step,
+        finish,
+        ("masks",),
+        then if is_halved else None,
     )
     return Stage(name, "pose", (name,), work, lambda job: StageReport(), needs_whole=needs_whole)
 
@@ -78,12 +101,17 @@ def content(store: StageStore, product: str) -> Any:
 
 @pytest.mark.parametrize("n_threads", [1, 2, 5])
 @pytest.mark.parametrize("twice", ["", "a", "b", "c", "abc"])
-def test_together_is_one_after_the_other(tmp_path: Path, n_threads: int, twice: str) -> None:
-    stages = [toy(n, reads=clip if n == "a" else None, walks=2 if n in twice else 1) for n in "abc"]
+@pytest.mark.parametrize("halved", ["", "a", "c", "abc"])
+def test_together_is_one_after_the_other(tmp_path: Path, n_threads: int, twice: str, halved: str) -> None:
+    def of(name: str, is_halved: bool) -> Stage:
+        walks = 2 if name in twice else 1
+        return toy(name, reads=clip if name == "a" else None, walks=walks, is_halved=is_halved)
+
+    stages = [of(name, name in halved) for name in "abc"]
     together, alone = job(tmp_path / "1", n_threads=n_threads), job(tmp_path / "2")
     seconds = run_together([(stage, together) for stage in stages])
-    for stage in stages:
-        run_together([(stage, alone)])
+    for name in "abc":
+        run_together([(of(name, False), alone)])
     assert list(seconds) == ["a", "b", "c"]
     for name in "abc":
         assert content(together.store, name) == content(alone.store, name)
@@ -133,6 +161,38 @@ def test_a_stage_is_said_to_be_done_when_its_product_is_there(tmp_path: Path, n_
         ends = [is_there for n, done, is_there in said if n == name and done == len(FRAMES)]
         assert ends == [True]
     assert not any(is_there for n, done, is_there in said if n == "b" and done < len(FRAMES))
+
+
+def test_halves_of_a_step_are_at_work_side_by_side(tmp_path: Path) -> None:
+    """The second half of a frame waits for the first half of a later one, which would never come otherwise."""
+    begun = {frame: threading.Event() for frame in FRAMES}
+    stage = toy("a", reads=clip, log=lambda name, frame: begun[frame].set(), is_halved=True)
+    assert isinstance(stage.work, FrameWork)
+    assert stage.work.then is not None
+    then = stage.work.then
+
+    def waits(seen: Seen) -> tuple[Seen, Sequence[Row]]:
+        assert seen.frame == FRAMES[-1] or begun[seen.frame + 1].wait(10.0)
+        return then(seen)
+
+    run_together([(replace(stage, work=replace(stage.work, then=waits)), job(tmp_path, n_threads=2))])
+
+
+@pytest.mark.parametrize("n_threads", [1, 2])
+def test_what_a_first_half_leaves_is_for_the_second_alone(tmp_path: Path, n_threads: int) -> None:
+    """Nothing of it reaches the next stage, which would hold it, or take it for its own."""
+    shown: list[Any] = []
+    own, last = job(tmp_path, n_threads=n_threads), toy("b")
+    assert isinstance(last.work, FrameWork)
+    step = last.work.step
+
+    def look(state: Any, seen: Seen) -> Any:
+        shown.append(seen.begun)
+        return step(state, seen)
+
+    last = replace(last, work=replace(last.work, step=look))
+    run_together([(toy("a", reads=clip, is_halved=True), own), (last, own)])
+    assert shown == [None] * len(FRAMES)
 
 
 def test_no_more_than_a_few_frames_are_held(tmp_path: Path) -> None:

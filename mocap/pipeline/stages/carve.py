@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import Hull, Occluders, VoxelGrid
+from mocap.data import CameraRig, Hull, Occluders, VoxelGrid
 from mocap.data.depth import DepthNoise
 from mocap.data.voxels import Voxels
 from mocap.errors import MocapError
@@ -224,8 +224,14 @@ def _start(job: Job) -> _Walk:
         ) from error
     if config.volume.on_bad_camera == "ignore":
         return _Walk(carving, None)
-    monitor = ConsistencyMonitor(session.rig, carving.grid, carving.occluders)
+    monitor = _monitor(carving, session.rig)
     return _Walk(carving, monitor, guessed=never_empty(job.store))
+
+
+def _monitor(carving: _Carving, rig: CameraRig) -> ConsistencyMonitor:
+    """What judges the cameras of a rig over a walk."""
+    n_frames = len(carving.session.frames)
+    return ConsistencyMonitor(rig, carving.grid, carving.occluders, n_frames=n_frames)
 
 
 def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
@@ -237,13 +243,20 @@ def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
     if seen.depth is not None:
         measured = np.full((len(hull.voxels), 3), np.nan, dtype=np.float32)
         measured[hull.is_surface] = measured_surface(hull.voxels[hull.is_surface], hull.grid, views)
+    pixels = sample_silhouettes(seen.masks, seen.pictures, used)
+    row = hull_row(hull, unknown, used, pixels, measured)
+    return walk, replace(seen, hull=hull, begun=walk), [Row(PRODUCT, seen.frame, row)]
+
+
+def _then(seen: Seen) -> tuple[Seen, Sequence[Row]]:
+    """Hold the masks of the cameras that are judged against the hulls of the others."""
+    walk: _Walk = seen.begun
     if walk.monitor is not None:
+        assert seen.masks is not None
         rows = [walk.carving.rig.names.index(name) for name in walk.monitor.rig.names]
         pictures = None if seen.pictures is None else [seen.pictures[c] for c in rows]
         walk.monitor.add(seen.frame, [seen.masks[c] for c in rows], pictures)
-    pixels = sample_silhouettes(seen.masks, seen.pictures, used)
-    row = hull_row(hull, unknown, used, pixels, measured)
-    return walk, replace(seen, hull=hull), [Row(PRODUCT, seen.frame, row)]
+    return seen, ()
 
 
 def _finish(walk: _Walk) -> Ending:
@@ -263,7 +276,7 @@ def _finish(walk: _Walk) -> Ending:
         # Others are blamed because of them: they are judged again without.
         known = {fault.camera for fault in faults}
         others = walk.carving.rig.subset([n for n in walk.carving.rig.names if n not in known])
-        monitor = ConsistencyMonitor(others, walk.carving.grid, walk.carving.occluders)
+        monitor = _monitor(walk.carving, others)
         return Ending(again=replace(walk, monitor=monitor, faults=faults, left_out=left_out))
     if excludes and not usable_cameras(found, walk.carving.rig.names, np.array(session.frames)).all():
         return Ending(again=replace(walk, monitor=None, faults=faults, left_out=left_out))
@@ -356,7 +369,7 @@ CARVE = Stage(
     until="carve",
     products=(PRODUCT,),
     # Coloured hulls of every frame. Source: CF 2.2.4.
-    work=FrameWork(_reads, _start, _step, _finish, finds=("hull",)),
+    work=FrameWork(_reads, _start, _step, _finish, finds=("hull",), then=_then),
     report=carve_report,
     needs=("segment", "occluders"),
     # Of the masks, which cameras are never without somebody. Both are there in a run that computes all; a kill may

@@ -79,10 +79,12 @@ def _start(job: Job) -> _Segmenting:
         Segmenter(b, foreground, roi=region_of_interest(session, camera))
         for b, camera in zip(backgrounds, session.rig, strict=True)
     )
+    # The halves of a step keep two threads busy; a live engine does one after the other.
+    each = map if job.n_threads == 2 and not job.is_endless else job.each
     return _Segmenting(
         segmenters,
         tuple(warnings),
-        job.each,
+        each,
         second_look(session) if settings.second_look else None,
         tuple(c.name for b, c in zip(backgrounds, session.rig, strict=True) if b.holds_somebody),
     )
@@ -107,19 +109,27 @@ def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[R
         return state, seen, [Row(PRODUCT, seen.frame, row)]
     assert seen.pictures is not None
     found = list(state.each(_segmented, state.segmenters, seen.pictures))
+    return state, replace(seen, masks=[m.mask for m in found], begun=(found, state.look)), []
+
+
+def _then(seen: Seen) -> tuple[Seen, Sequence[Row]]:
+    """Look at the masks of all cameras together."""
+    if seen.begun is None:
+        return seen, ()  # they were taken over
+    assert seen.masks is not None
+    masks, (found, look) = seen.masks, seen.begun
     usable = np.array([m.is_usable for m in found])
     shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
-    masks = [m.mask for m in found]
     if 2 * np.count_nonzero(usable) < len(usable):
         # The light went out, or all lenses are covered: a few cameras tell nobody from the room, and the full masks
         # of the rest would fill it.
         masks = [np.zeros_like(mask) for mask in masks]
-    elif state.look is not None:
+    elif look is not None:
         shadows, doubtful, boxes = (
             [getattr(m, part) for m in found] for part in ("shadow", "doubtful", "box")
         )
-        masks = state.look.masks(masks, shadows, doubtful, boxes)
-    return state, replace(seen, masks=masks), [Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))]
+        masks = look.masks(masks, shadows, doubtful, boxes)
+    return replace(seen, masks=masks), [Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))]
 
 
 def _segmented(segmenter: Segmenter, picture: NDArray[np.uint8]) -> ForegroundMask:
@@ -216,7 +226,7 @@ SEGMENT = Stage(
     until="segment",
     products=(PRODUCT,),
     # Foreground masks of every frame: computed, or taken over from masks/. Source: CF 2.2.3.
-    work=FrameWork(_reads, _start, _step, _finish, finds=("masks",)),
+    work=FrameWork(_reads, _start, _step, _finish, finds=("masks",), then=_then),
     report=segment_report,
     sections=("segmentation",),
     facts=("fps", "roi_px", "room_bounds_m"),

@@ -1,0 +1,114 @@
+"""Kernels of the consistency of masks against their definitions in numpy, and what is kept of a clip."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from mocap.volume import _kernels
+from mocap.volume.consistency import _Spread
+
+C, H, W = 3, 24, 31
+Cells = np.ndarray
+
+
+def blobs(seed: int, share: float) -> Cells:
+    """(C, H, W) uint8 of 0 and 1: spots, some of which touch at corners only."""
+    noise = np.random.default_rng(seed).random((C, H, W)).astype(np.float32)
+    smooth = np.stack([cv2.blur(plane, (3, 3)) for plane in noise])
+    return (smooth > np.quantile(smooth, 1 - share)).astype(np.uint8)
+
+
+def met_by_definition(mask: Cells, hull: Cells) -> Cells:
+    """The regions of a mask, joined by corners, that hold a cell of the silhouette."""
+    n, labels = cv2.connectedComponents(mask, connectivity=8)
+    met = [k for k in range(1, n) if (hull[labels == k] > 0).any()]
+    return np.isin(labels, met).astype(np.uint8)
+
+
+def found(masks: Cells, hulls: Cells) -> tuple[Cells, Cells, Cells]:
+    own = np.zeros_like(masks)
+    rects, cells = np.empty((C, 4), dtype=np.int64), np.empty(C, dtype=np.int64)
+    _kernels.regions_met(masks, hulls, own, rects, cells, np.empty(H * W, dtype=np.int32))
+    return own, rects, cells
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_regions_that_meet_a_silhouette(seed: int) -> None:
+    masks, hulls = blobs(seed, 0.35), blobs(seed + 50, 0.1) * np.uint8(3)
+    own, rects, cells = found(masks, hulls)
+    n_regions = 0
+    for c in range(C):
+        expected = met_by_definition(masks[c], hulls[c])
+        np.testing.assert_array_equal(own[c], expected)
+        assert cells[c] == expected.sum()
+        v, u = np.nonzero(expected)
+        assert rects[c].tolist() == [u.min(), u.max(), v.min(), v.max()]
+        n_regions += cv2.connectedComponents(masks[c], connectivity=8)[0] - 1
+        assert expected.sum() < masks[c].sum()  # some meet nothing
+    assert n_regions > 2 * C
+
+
+def test_a_mask_that_meets_nothing_is_empty() -> None:
+    masks = blobs(0, 0.3)
+    own, rects, cells = found(masks, np.zeros_like(masks))
+    assert not own.any()
+    assert not cells.any()
+    assert (rects[:, 1] < rects[:, 0]).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_uncovered_shares_are_those_of_sets(seed: int) -> None:
+    masks = blobs(seed, 0.4)
+    hulls = blobs(seed + 9, 0.5) | (blobs(seed + 20, 0.3) << 1)
+    hulls[0] = 0  # nobody is expected there
+    hulls[1] = 0
+    hulls[1, :2, :20] = 3  # hardly met
+    masks[1, :2] = 0
+    masks[1, 5:9, 5:9] = 1
+    own, rects, cells = found(masks, masks)
+    uncovered, strict = np.full((C, 5), np.nan, np.float32), np.full((C, 5), np.nan, np.float32)
+    sizes = np.count_nonzero(hulls, axis=(1, 2))
+    _kernels.uncovered_shares(own, cells, rects, hulls, sizes, sizes, (12.0, 0.1), 3, uncovered, strict)
+    assert np.isnan(np.delete(uncovered, 3, axis=1)).all()
+    assert np.isnan(uncovered[0, 3])
+    assert uncovered[1, 3] == strict[1, 3] == 1.0
+    inside, inside_strict = (masks[2] & hulls[2] & 1).sum(), ((masks[2] == 1) & (hulls[2] >= 2)).sum()
+    assert uncovered[2, 3] == np.float32(1 - inside / masks[2].sum())
+    assert strict[2, 3] == np.float32(1 - inside_strict / masks[2].sum())
+    assert 0 < uncovered[2, 3] != strict[2, 3]
+
+
+def test_light_of_pictures() -> None:
+    rng = np.random.default_rng(4)
+    pictures = rng.integers(0, 256, (3, 50, 70, 3), dtype=np.uint8)
+    sample = np.zeros_like(pictures[0, ::16, ::4, 1])
+    before = None
+    for picture in pictures:
+        mean, std, change = _kernels.light_of(picture, (16, 4), sample, before is not None)
+        looked = picture[::16, ::4, 1].astype(np.float64)
+        np.testing.assert_allclose([mean, std], [looked.mean(), looked.std()], rtol=1e-12)
+        np.testing.assert_array_equal(sample, looked)
+        if before is None:
+            assert np.isnan(change)
+        else:
+            assert change == pytest.approx(np.abs(looked - before).mean(), rel=1e-12)
+        before = looked
+
+
+@pytest.mark.parametrize("n", [1, 7, 8, 9, 15, 16, 40, 100])
+def test_what_is_kept_of_a_clip_is_the_same_when_its_length_is_known(n: int) -> None:
+    made: list[int] = []
+
+    def make(i: int) -> int:
+        made.append(i)
+        return i
+
+    plain, knowing = _Spread[int](8), _Spread[int](8, n)
+    for i in range(n):
+        plain.add(lambda i=i: i)
+    for i in range(n):
+        knowing.add(lambda i=i: make(i))
+    assert knowing.items == plain.items == made
+    assert 1 <= len(made) < 8
