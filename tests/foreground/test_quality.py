@@ -45,6 +45,42 @@ def test_flicker_and_leakage_are_counted() -> None:
     assert leaking.flicker == 0.0
 
 
+def held_against_motion(before: np.ndarray, now: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+    """Share of the foreground that goes on or off for one frame where 5 x 5 pixels stay, and that changes across it."""
+
+    def whole(mask: np.ndarray) -> np.ndarray:
+        views = np.lib.stride_tricks.sliding_window_view(np.pad(mask, 2, constant_values=True), (5, 5))
+        return np.asarray(views.all(axis=(2, 3)))
+
+    n = now.sum()
+    flickers = (whole(before & after) & ~now) | (whole(~before & ~after) & now)
+    return flickers.sum() / n, (before ^ after).sum() / n
+
+
+def arms(*columns: int) -> np.ndarray:
+    """A body with an arm of 6 x 30 px at each of some columns."""
+    mask = body(10)
+    for column in columns:
+        mask[15:45, column : column + 6] = True
+    return mask
+
+
+def test_thin_parts_that_move_fast_are_no_flicker() -> None:
+    """Two arms, of which one shows up for a frame: in one clip the other goes far between the frames around it."""
+    fast, steady = [arms(40), arms(46, 60), arms(52)], [arms(40), arms(40, 60), arms(41)]
+    raw, moved = held_against_motion(*fast)
+    expected = raw - 0.12 * moved**2.5
+    raw_steady, moved_steady = held_against_motion(*steady)
+    assert raw > 0.15
+    assert moved > 0.3
+    first, second = mask_quality(
+        ["c1", "c2"], triples_of([[a, b] for a, b in zip(fast, steady, strict=True)])
+    )
+    assert first.flicker == pytest.approx(expected, rel=1e-12)
+    assert second.flicker == pytest.approx(raw_steady - 0.12 * moved_steady**2.5, rel=1e-12)
+    assert raw - first.flicker > 0.005 > 50 * (raw_steady - second.flicker)
+
+
 def test_tables_give_shares_and_advice() -> None:
     n = 8
     cut = body(0)
