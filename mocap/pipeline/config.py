@@ -50,7 +50,7 @@ class SegmentationConfig(_Section):
     hold_s: float = Field(default=600.0, gt=0)
     """Seconds after which what never stops being foreground becomes background, such as a chair that was moved; longer
     than anybody sits still."""
-    pixels_per_voxel: float = Field(default=2.5, ge=0)
+    pixels_per_voxel: float = Field(default=2.0, ge=0)
     """Pictures larger than 640 x 360 are reduced by a whole factor as long as a voxel where the cameras look is so many
     pixels wide; 0 = never. 640 x 480 in a room of 5 m has 3 at 2 cm."""
 

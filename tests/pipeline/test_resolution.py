@@ -59,7 +59,9 @@ def test_a_voxel_stays_some_pixels_wide_and_small_pictures_stay(session: Session
     assert sized((1920, 1080), session=session) == (640, 360)
     assert sized((1080, 1920), session=session) == (360, 640)
     assert sized((3840, 2160), session=session) == (640, 360)
-    assert sized((3840, 2160), "volume.voxel_size_m=0.01", session=session) == (1280, 720)
+    fine = "volume.voxel_size_m=0.01"
+    assert sized((3840, 2160), fine, session=session) == (960, 540)
+    assert sized((3840, 2160), fine, "segmentation.pixels_per_voxel=2.5", session=session) == (1280, 720)
     assert sized((640, 480), "volume.voxel_size_m=0.05", session=session) == (640, 480)
 
 
