@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Array, Mask
 
+Bits = NDArray[np.uint8]
 Triple = tuple[Sequence[Mask], Sequence[Mask], Sequence[Mask]]
 
 # Limits above which a number earns advice.
@@ -25,9 +26,7 @@ LEAST_FOREGROUND = 1e-4
 
 _STILL_PX = 5  # side of the square that must not change around a pixel that flickers
 _SMALL_REGION = 0.1  # of the area of the largest region
-# Thin parts that move fast do flicker: in exact silhouettes of six realistic sessions at 30 to 6 frames a second by .04 to
-# .12 times the 2.5th power of what changes between the frame before and the one after, as a share of the foreground.
-_OF_MOTION, _POWER = 0.12, 2.5
+_MOVED_PX = 3  # side of the square that change between two frames must hold: an outline's jitter is thinner
 
 
 @dataclass(frozen=True)
@@ -127,7 +126,7 @@ class _Sums:
 
     def __init__(self) -> None:
         self.n_frames = self.n_pixels = self.n_foreground = 0
-        self.n_flicker = self.n_moved = self.n_small = self.n_seen = self.n_border = 0
+        self.n_flicker = self.n_small = self.n_seen = self.n_border = 0
 
     def add(self, before: Mask, now: Mask, after: Mask) -> None:
         if before.shape != now.shape or after.shape != now.shape:
@@ -136,10 +135,7 @@ class _Sums:
             )
         window = _window_of(before | now | after)
         a, b, c = (np.ascontiguousarray(m[window]).view(np.uint8) for m in (before, now, after))
-        square = np.ones((_STILL_PX, _STILL_PX), dtype=np.uint8)
-        stays_in, stays_out = cv2.erode(a & c, square), 1 - cv2.dilate(a | c, square)
-        self.n_flicker += cv2.countNonZero((stays_in & (1 - b)) | (stays_out & b))
-        self.n_moved += cv2.countNonZero(a ^ c)
+        self.n_flicker += _n_flickering(a, b, c)
         foreground = cv2.countNonZero(b)
         self.n_frames += 1
         self.n_pixels += now.size
@@ -155,10 +151,20 @@ class _Sums:
     def share(self) -> float:
         return _ratio(self.n_foreground, self.n_pixels)
 
-    @property
-    def flicker(self) -> float:
-        flicker, motion = (_ratio(n, self.n_foreground) for n in (self.n_flicker, self.n_moved))
-        return float(np.maximum(flicker - _OF_MOTION * motion**_POWER, 0.0))
+
+def _n_flickering(before: Bits, now: Bits, after: Bits) -> int:
+    """How many pixels of masks (H, W) uint8 of 0 and 1 flicker, as `MaskQuality` has it."""
+    square = np.ones((_STILL_PX, _STILL_PX), dtype=np.uint8)
+    stays_in, stays_out = cv2.erode(before & after, square), 1 - cv2.dilate(before | after, square)
+    flickers = (stays_in & (1 - now)) | (stays_out & now)
+    if not flickers.any():
+        return 0
+    change = cv2.morphologyEx(before ^ after, cv2.MORPH_OPEN, np.ones((_MOVED_PX, _MOVED_PX), dtype=np.uint8))
+    # A thin part between its places hangs on what moves with it, through pixels that are too near to change to count.
+    n, pieces = cv2.connectedComponents((before ^ now) & (1 - (before ^ after)), connectivity=8)
+    is_moving = np.zeros(n, dtype=np.bool_)
+    is_moving[pieces[cv2.dilate(change, np.ones((3, 3), dtype=np.uint8)) > 0]] = True
+    return int(np.count_nonzero((flickers > 0) & ~is_moving[pieces]))
 
 
 def _window_of(mask: Mask) -> tuple[slice, slice]:
@@ -170,7 +176,7 @@ def _window_of(mask: Mask) -> tuple[slice, slice]:
 def _judged(
     name: str, sums: _Sums, foreground: float, shadow: float, unusable: float, residual: float
 ) -> MaskQuality:
-    flicker = sums.flicker
+    flicker = _ratio(sums.n_flicker, sums.n_foreground)
     leakage = _ratio(sums.n_small, sums.n_foreground)
     border = _ratio(sums.n_border, sums.n_seen)
     advice = []
