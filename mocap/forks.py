@@ -8,15 +8,19 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from threading import Thread
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 # A job, given a function that is told of every step that is done.
 Job = Callable[[Callable[[int], None]], None]
+Question = TypeVar("Question")
+Answer = TypeVar("Answer")
 
 
 def can_fork() -> bool:
@@ -55,6 +59,71 @@ def forked(job: Job, tick: Callable[[int], None]) -> Iterator[None]:
         _, status = os.waitpid(process, 0)
     if status != 0:
         job(lambda n: None)
+
+
+@contextmanager
+def answering(
+    serve: Callable[[], AbstractContextManager[Callable[[Question], Answer]]],
+) -> Iterator[Callable[[Question], Answer]]:
+    """A process of its own that answers questions, one after the other; gives what asks it, and waits for the answer.
+
+    serve : gives there, before the first question, what answers; it is left when this is. What either raises there is
+    raised here. Raises ChildProcessError when the process is gone.
+    """
+    here, there = Pipe()
+    process = _fork()
+    if process == 0:
+        here.close()
+        _serve(serve, there)
+    there.close()
+
+    def heard() -> Any:
+        try:
+            is_answer, value = here.recv()
+        except (EOFError, OSError) as error:
+            raise ChildProcessError("the forked process is gone") from error
+        if not is_answer:
+            raise value
+        return value
+
+    def ask(question: Question) -> Answer:
+        with suppress(OSError):  # heard() says why
+            here.send(question)
+        answer: Answer = heard()
+        return answer
+
+    try:
+        heard()  # it is ready
+        yield ask
+    finally:
+        here.close()
+        os.waitpid(process, 0)
+
+
+def _serve(
+    serve: Callable[[], AbstractContextManager[Callable[[Question], Answer]]], there: Connection
+) -> None:
+    """The whole life of a forked process that answers; it ends when nobody can ask any more."""
+    # Ctrl-C is told to all processes of a terminal: this one ends with the one that asks.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with suppress(BaseException), _told(there), serve() as answer:  # nobody is left to be told
+        there.send((True, None))
+        while True:
+            question = there.recv()
+            with _told(there):
+                there.send((True, answer(question)))
+    os._exit(0)
+
+
+@contextmanager
+def _told(there: Connection) -> Iterator[None]:
+    """Send an error to who has asked; not that nobody is there to ask."""
+    try:
+        yield
+    except (EOFError, OSError):
+        raise
+    except Exception as error:
+        there.send((False, error))
 
 
 def _fork() -> int:

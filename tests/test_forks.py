@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from mocap.forks import can_fork, forked, shared_zeros
+from mocap.errors import MocapError
+from mocap.forks import answering, can_fork, forked, shared_zeros
 
 pytestmark = pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
 Tick = Callable[[int], None]
@@ -103,3 +106,81 @@ def test_an_error_here_ends_the_other_process() -> None:
     assert time.monotonic() - started < 30.0
     with pytest.raises(ProcessLookupError):
         os.kill(int(shared[0]), 0)
+
+
+@contextmanager
+def counting() -> Iterator[Callable[[object], tuple[int, int, object]]]:
+    """Answers with the process, how many questions there were, and the question."""
+    n = 0
+
+    def answer(question: object) -> tuple[int, int, object]:
+        nonlocal n
+        n += 1
+        if isinstance(question, str) and question == "mistake":
+            raise MocapError("not this", remedy="another", frame=7)
+        if isinstance(question, str) and question == "die":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return os.getpid(), n, question
+
+    yield answer
+
+
+def test_questions_are_answered_in_order_by_a_process_that_remembers() -> None:
+    with answering(counting) as ask:
+        array = np.arange(200_000.0)
+        process, n, echo = ask(array)
+        assert n == 1
+        np.testing.assert_array_equal(echo, array)
+        assert process != os.getpid()
+        assert [ask(k) for k in "abc"] == [(process, 2, "a"), (process, 3, "b"), (process, 4, "c")]
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
+
+
+def test_what_an_answer_raises_is_raised_here_and_others_are_answered() -> None:
+    with answering(counting) as ask:
+        with pytest.raises(MocapError, match="not this") as told:
+            ask("mistake")
+        assert told.value.frame == 7
+        assert ask("next")[1:] == (2, "next")
+
+
+def test_who_cannot_begin_says_so_at_once() -> None:
+    @contextmanager
+    def unable() -> Iterator[Callable[[object], object]]:
+        raise MocapError("no room", remedy="a larger one")
+        yield lambda question: question
+
+    with pytest.raises(MocapError, match="no room"), answering(unable):
+        pytest.fail("it has begun")
+
+
+def test_a_process_that_is_gone_is_told() -> None:
+    with answering(counting) as ask:
+        with pytest.raises(ChildProcessError):
+            ask("die")
+        with pytest.raises(ChildProcessError):
+            ask("anybody there?")
+
+
+def test_what_answers_is_left_at_the_end(tmp_path: Path) -> None:
+    left = tmp_path / "left"
+
+    @contextmanager
+    def noting() -> Iterator[Callable[[object], object]]:
+        try:
+            yield lambda question: question
+        finally:
+            left.touch()
+
+    with answering(noting) as ask:
+        assert ask(3) == 3
+        assert not left.exists()
+    assert left.exists()
+
+
+def test_it_ignores_ctrl_c_and_ends_with_who_asks() -> None:
+    with answering(counting) as ask:
+        process, _, _ = ask("who?")
+        os.kill(process, signal.SIGINT)
+        assert ask("still there?") == (process, 2, "still there?")

@@ -14,8 +14,8 @@ from test_live_outputs import FOLLOWED, PLACES, RESULT, N
 
 from mocap.data import LANDMARKS
 from mocap.errors import MissingExtra
-from mocap.pipeline.live.engine import MOST_PERSONS, PersonResult
 from mocap.pipeline.live.lsl import LslStreams
+from mocap.pipeline.live.persons import MOST_PERSONS, PersonResult
 
 
 class Node:

@@ -18,7 +18,7 @@ from mocap.body import load_body_model, scale_body
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
 from mocap.pipeline.config import load_config
-from mocap.pipeline.live.engine import FrameResult, PersonResult
+from mocap.pipeline.live.engine import FrameResult
 from mocap.pipeline.live.outputs import (
     JsonLines,
     OnThread,
@@ -28,6 +28,7 @@ from mocap.pipeline.live.outputs import (
     osc_message,
     read_address,
 )
+from mocap.pipeline.live.persons import PersonResult
 from mocap.pose.follow import FramePose
 
 N = len(LANDMARKS)

@@ -44,7 +44,9 @@ def root(tmp_path: Path) -> Path:
                 if folder == "images":
                     picture[20:60, 22 + 2 * f : 46 + 2 * f] = (40, 30, 90)
                     if name == "left" and f % 2:
-                        picture[34:46, 36:44] = 120.0  # always inside the block, and away from what its sides uncover
+                        picture[34:46, 36:44] = (
+                            120.0  # always inside the block, and away from what its sides uncover
+                        )
                 path = tmp_path / folder / name / f"{f:03d}.png"
                 path.parent.mkdir(parents=True, exist_ok=True)
                 noisy = np.clip(picture + rng.normal(0, 1.5, picture.shape), 0, 255).astype(np.uint8)

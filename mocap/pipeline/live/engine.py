@@ -10,61 +10,34 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from types import TracebackType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mocap.body import Body, load_body_model
-from mocap.data import Hull, Occluders, VoxelGrid
+from mocap.data import Hull, Occluders
+from mocap.errors import MocapError
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import Config
 from mocap.pipeline.live.capture import Image
 from mocap.pipeline.live.pairing import PictureSet
-from mocap.pipeline.pose_settings import make_tools, stated_height_m
+from mocap.pipeline.live.persons import Following, PersonResult, SeenPersons
 from mocap.pipeline.stage import Arrays, Job, Seen
-from mocap.pipeline.stages.carve import CARVE, grid_of
-from mocap.pipeline.stages.pose import PersonViews
+from mocap.pipeline.stages.carve import CARVE
 from mocap.pipeline.stages.segment import SEGMENT
 from mocap.pipeline.stages.track import TRACK
 from mocap.pipeline.walk import Walker
-from mocap.pose.deviation import FrameSeries, landmark_covariances
-from mocap.pose.follow import FramePose
-from mocap.pose.forward import ForwardPerson, ForwardSettings, Sighting
-from mocap.pose.person import note
-from mocap.pose.volume import VolumeTools
+from mocap.pose.forward import ForwardSettings
 from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products import occluders as occluders_product
-from mocap.threads import Ahead, AtOnce
-from mocap.tracking.state import TENTATIVE, Track
-
-Array = NDArray[np.float64]
+from mocap.threads import Ahead
+from mocap.tracking.state import TENTATIVE
 
 ENDLESS = range(2**31 - 1)
 """Frames of a session that has no end."""
 _STAGES = (SEGMENT, CARVE, TRACK)
-MOST_PERSONS = 16
-"""Who is remembered; the one who was not seen for longest gives way."""
 _NO_PICTURE = np.zeros((0, 0, 3), dtype=np.uint8)
-
-
-@dataclass(frozen=True, eq=False)
-class PersonResult:
-    """One person in one frame.
-
-    xyz : (3,) m, the track.  height_m : None while it is not known.  body : None while it is not known.  pose and
-    deviation_m (M,), the standard deviation of a landmark along an axis: None while the first pose is looked for.
-    """
-
-    person: int
-    xyz: Array
-    height_m: float | None = None
-    body: Body | None = None
-    pose: FramePose | None = None
-    deviation_m: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +87,11 @@ class Engine:
         n_threads: int = 2,
         forward: ForwardSettings | None = None,
     ) -> None:
-        self.session, self.config, self._seed, self._forward = session, config, seed, forward
+        self.session, self.config = session, config
         self._n_threads = n_threads
         self._stack = ExitStack()
-        self._grid = grid_of(session, config)
-        self._views = PersonViews(session, self._grid, occluders)
-        self._persons: dict[int, ForwardPerson] = {}
+        following = Following(session, config, occluders, seed, n_threads, forward)
+        self._poses = self._stack.enter_context(following.poses())
         with store.writer(
             occluders_product.PRODUCT, "live", occluders_product.occluder_attrs(occluders)
         ) as out:
@@ -128,7 +100,6 @@ class Engine:
         pool = self._stack.enter_context(ThreadPoolExecutor(n_threads))
         job = Job(session, config, store, "live", seed, n_threads, each=pool.map, is_endless=True)
         self._walkers = [Walker(stage, job) for stage in _STAGES]
-        self._searches = self._stack.enter_context(ThreadPoolExecutor(1) if n_threads > 1 else AtOnce())
 
     def __enter__(self) -> Engine:
         return self
@@ -173,50 +144,13 @@ class Engine:
     def _posed(self, found: _Tracked) -> tuple[PersonResult, ...]:
         """The persons of a frame with their poses."""
         assert found.seen.tracks is not None
-        tracks = [track for track in found.seen.tracks if track.status != TENTATIVE]
-        return tuple(self._person(track, found) for track in tracks)
-
-    def _person(self, track: Track, found: _Tracked) -> PersonResult:
         assert found.seen.owner is not None
-        hull = self._views.hull(
-            found.rows[hulls_product.PRODUCT],
-            found.seen.owner,
-            track.serial + 1,
-            lambda: found.rows[masks_product.PRODUCT],
-        )
-        follower = self._follower(track.person)
-        pose = follower.see(Sighting(found.pictures.time_s, track.xyz, hull))
-        tools = follower.tools
-        if pose is None or tools is None:
-            body = None if tools is None else tools.body
-            return PersonResult(track.person, track.xyz, follower.height_m, body)
-        series = FrameSeries.of_length(1, tools.body)
-        note(series, 0, pose, tools)
-        covariance = landmark_covariances(tools.body, series, self.config.method.deviation)
-        deviation_m = np.sqrt(np.trace(covariance[0], axis1=1, axis2=2) / 3.0)
-        return PersonResult(track.person, track.xyz, follower.height_m, tools.body, pose, deviation_m)
-
-    def _follower(self, person: int) -> ForwardPerson:
-        """Who follows a person; the last who was seen stands last."""
-        follower = self._persons.pop(person, None)
-        if follower is None:
-            model = load_body_model(self.config.body_model("voxels"))
-            follower = ForwardPerson(
-                person,
-                self._grid,
-                partial(_tools_of, self._grid, self.session.fps, self.config),
-                self._searches,
-                seed=self._seed,
-                settings=self._forward,
-                given_m=stated_height_m(self.config, model, self.session),
-            )
-        self._persons[person] = follower
-        while len(self._persons) > MOST_PERSONS:
-            del self._persons[next(iter(self._persons))]
-        return follower
-
-
-def _tools_of(grid: VoxelGrid, fps: float, config: Config, height_m: float) -> VolumeTools:
-    """Tools of a person of some height."""
-    model = config.body_model("voxels")
-    return make_tools(grid, fps, height_m, model, config.pose, config.likelihood, 1, config.method)
+        tracks = [track for track in found.seen.tracks if track.status != TENTATIVE]
+        hulls, masks = (found.rows[product] for product in (hulls_product.PRODUCT, masks_product.PRODUCT))
+        try:
+            return self._poses(SeenPersons(found.pictures.time_s, tracks, found.seen.owner, hulls, masks))
+        except ChildProcessError as error:
+            raise MocapError(
+                "the process that follows people is gone: it was killed, or there was no memory left",
+                remedy="end other programs, and begin again; with `--threads 1` all is done in one process",
+            ) from error

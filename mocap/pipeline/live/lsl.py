@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from mocap.data import landmark_names
 from mocap.errors import MissingExtra
-from mocap.pipeline.live.engine import MOST_PERSONS, FrameResult
+from mocap.pipeline.live.engine import FrameResult
+from mocap.pipeline.live.persons import MOST_PERSONS
 
 _TYPES = ("PositionX", "PositionY", "PositionZ", "StandardDeviation")
 

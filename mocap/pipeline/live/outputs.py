@@ -18,7 +18,8 @@ from mocap.body import skeleton_of
 from mocap.data import landmark_names
 from mocap.errors import MocapError
 from mocap.io.formats.bone_names import renamed
-from mocap.pipeline.live.engine import FrameResult, PersonResult
+from mocap.pipeline.live.engine import FrameResult
+from mocap.pipeline.live.persons import PersonResult
 
 _LOOPBACK = "127.0.0.1"
 _MOST_S = 3.0  # that an output which hangs is waited for at the end

@@ -21,6 +21,7 @@ from mocap.pipeline.live.engine import Engine, FrameResult
 from mocap.pipeline.live.outputs import Sink
 from mocap.pipeline.live.pairing import Pairing, PairingCounts, PictureSet
 from mocap.pipeline.live.room import MIN_CAMERAS, Recording, keep_backgrounds, learn_room
+from mocap.threads import quick_turns
 
 _WINDOW = 100  # results that the rate and the latency on the screen are of
 _SHOWN_S = 1.0
@@ -101,6 +102,7 @@ def run_live(
     pairing = Pairing(rig.names, order.tolerance_s, order.stalled_s, min(MIN_CAMERAS, len(rig)))
     status = LiveStatus(pairing.counts)
     with ExitStack() as stack:
+        stack.enter_context(quick_turns())
         store = StageStore(
             Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mocap-"))) / "store.zarr"
         )
