@@ -15,6 +15,8 @@ _PAIRED = ("eye", "ear", "shoulder", "elbow", "wrist", "hand", "hip", "knee", "a
 # Every keypoint that has a place on the body; what a tool calls them stands in `mocap.io.keypoints.names`.
 KEYPOINTS: tuple[str, ...] = (*_MIDDLE, *(f"{side}_{name}" for name in _PAIRED for side in ("left", "right")))
 N_KEYPOINTS = len(KEYPOINTS)
+# The keypoints (P, K, 3) m of nobody.
+NOBODY: Array = np.zeros((0, N_KEYPOINTS, 3))
 
 
 def _mirror(name: str) -> str:

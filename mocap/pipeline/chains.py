@@ -7,7 +7,7 @@ from mocap.io.detections import LABELS_FILE
 from mocap.io.session import Session
 from mocap.pipeline.config import Config
 from mocap.pipeline.stage import Stage
-from mocap.pipeline.stages.carve import CARVE
+from mocap.pipeline.stages.carve import CARVE, FUSED_CARVE
 from mocap.pipeline.stages.detect import DETECT, labels_path
 from mocap.pipeline.stages.fused_pose import FUSED_POSE
 from mocap.pipeline.stages.keypoint_pose import KEYPOINT_POSE
@@ -22,7 +22,7 @@ CHAINS: dict[str, tuple[Stage, ...]] = {
     "voxels": (SEGMENT, OCCLUDERS, CARVE, TRACK, POSE),
     "markers": (DETECT, MARKER_POSE),
     "keypoints": (KEYPOINTS_STAGE, KEYPOINT_POSE),
-    "fused": (KEYPOINTS_STAGE, SEGMENT, OCCLUDERS, CARVE, TRACK, FUSED_POSE),
+    "fused": (KEYPOINTS_STAGE, SEGMENT, OCCLUDERS, FUSED_CARVE, TRACK, FUSED_POSE),
 }
 # The chains that make a volume.
 WITH_VOLUMES = ("voxels", "fused")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Hull
+from mocap.data.keypoints import NOBODY
 from mocap.io.session import Session
 from mocap.io.store import StageStore, StageWriter
 from mocap.pipeline.config import Config
@@ -61,6 +62,7 @@ class Seen:
 
     index : place in the clip.  pictures : (H, W, 3) uint8 RGB of every camera, empty of one that gives none now.
     masks : (H, W) bool of every camera.  depth : (H, W) float32 m of every camera with depth maps, 0 = no reading.
+    known : (P, K, 3) m keypoints of the persons on whom cameras agree, NaN = not known.
     tracks : those of the tracker in this frame, as they are called until now.  owner : (N,) serial + 1 of the track
     that holds each voxel of the hull, 0 = nobody.  begun : what the first half of a step leaves to the second.
     """
@@ -70,6 +72,7 @@ class Seen:
     pictures: Sequence[NDArray[np.uint8]] | None = None
     masks: Sequence[NDArray[np.bool_]] | None = None
     depth: Sequence[NDArray[np.float32]] | None = None
+    known: NDArray[np.float64] = field(default_factory=lambda: NOBODY)
     hull: Hull | None = None
     tracks: Sequence[Any] | None = None
     owner: NDArray[np.uint32] | None = None

@@ -59,7 +59,8 @@ class FusedEvidence(VolumeEvidence):
         # What angles are usual is part of the volume's residuals already.
         settings = KeypointSettings(numbers.fused_scale, numbers.fused_worth, usual_weight=0.0)
         views = agreeing(self.views, numbers)
-        views = replace(views, noise_px=numbers.fused_noise * views.noise_px)
+        tightness = min(1.0, len(views.P) / numbers.tight_cameras)
+        views = replace(views, noise_px=numbers.fused_noise * tightness * views.noise_px)
         return KeypointProblem(self.tools.body, place_keypoints(self.tools.body), views, settings)
 
     @cached_property

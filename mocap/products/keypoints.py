@@ -19,6 +19,7 @@ from mocap.io.session import Session
 from mocap.io.store import StageStore
 
 PRODUCT = "keypoints"
+_GAP_S = 0.5  # people hardly move otherwise than evenly for so long
 
 
 def keypoint_row(
@@ -60,6 +61,36 @@ def stored_figure_tracks(store: StageStore, fps: float) -> Tracks:
             places.append(known.mean(axis=0) if len(known) else np.full(3, np.nan))
     at = np.array(frames, dtype=np.int64)
     return Tracks(at, np.array(persons, dtype=np.int64), at / fps, np.reshape(places, (-1, 3)))
+
+
+def known_points(store: StageStore, fps: float) -> dict[int, NDArray[np.float64]]:
+    """Frame -> the points (P, K, 3) m of the persons whom two cameras show or more, NaN = not known; what is unknown
+    for up to half a second is put between what was known before and after."""
+    rows = list(store.reader(PRODUCT))
+    frames = np.array([frame for frame, _ in rows], dtype=np.int64)
+    persons = sorted(persons_in(rows))
+    points = np.full((len(persons), len(frames), N_KEYPOINTS, 3), np.nan)
+    for i, (_, arrays) in enumerate(rows):
+        for person, own in zip(arrays["points_person"].tolist(), arrays["points"], strict=True):
+            if np.count_nonzero(arrays["person"] == person) >= 2:
+                points[persons.index(person), i] = own
+    for own in points.reshape(len(persons), len(frames), 3 * N_KEYPOINTS):
+        for column in own.T:
+            _bridge(frames, column, _GAP_S * fps)
+    is_there = np.isfinite(points).any(axis=(2, 3))
+    return {int(frame): points[is_there[:, i], i] for i, frame in enumerate(frames)}
+
+
+def _bridge(frames: NDArray[np.int64], values: NDArray[np.float64], longest: float) -> None:
+    """Put what is missing in values (T,) between its neighbours in time, in place, over up to `longest` frames."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not 2 <= len(known) < len(values):
+        return
+    lost = np.flatnonzero(np.isnan(values))
+    after = np.searchsorted(known, lost)
+    lost, after = lost[(after > 0) & (after < len(known))], after[(after > 0) & (after < len(known))]
+    is_short = frames[known[after]] - frames[known[after - 1]] <= longest
+    values[lost[is_short]] = np.interp(frames[lost[is_short]], frames[known], values[known])
 
 
 def keypoints_at(store: StageStore, session: Session, frame: int) -> list[NDArray[np.float64]]:

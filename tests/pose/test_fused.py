@@ -46,9 +46,9 @@ def hull(coarse_flesh: Flesh, tools: VolumeTools, truth: np.ndarray) -> PersonHu
     return coarse_flesh.hull(truth, margin_m=0.02, without=arm)
 
 
-def views_of(tools: VolumeTools, state: np.ndarray) -> KeypointViews:
-    """What four cameras see of a state: exact keypoints."""
-    P = marker_views(ring(4, (640, 496))).P
+def views_of(tools: VolumeTools, state: np.ndarray, n_cameras: int = 4) -> KeypointViews:
+    """What cameras see of a state: exact keypoints."""
+    P = marker_views(ring(n_cameras, (640, 496))).P
     points = marker_positions(tools.body, place_keypoints(tools.body), state[None])[0]
     uvw = np.einsum("crk,nk->cnr", P, np.column_stack([points, np.ones(len(points))]))
     uv = uvw[..., :2] / uvw[..., 2:]
@@ -135,3 +135,13 @@ def test_views_that_disagree_with_the_others_have_no_say(tools: VolumeTools, tru
     expected = np.isfinite(uv).all(axis=2)
     expected[2, wrist] = False
     np.testing.assert_array_equal(kept, expected)
+
+
+@pytest.mark.parametrize(("n_cameras", "factor"), [(2, 1.0), (4, 2.0), (7, 3.0)])
+def test_keypoints_weigh_more_beside_the_loose_volumes_of_few_cameras(
+    tools: VolumeTools, truth: np.ndarray, hull: PersonHull, n_cameras: int, factor: float
+) -> None:
+    views = views_of(tools, truth, n_cameras)
+    keypoints = evidence(tools, hull, views).keypoints
+    assert keypoints is not None
+    np.testing.assert_allclose(keypoints.views.noise_px, factor * views.noise_px)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.data import CameraRig, Hull, Occluders, VoxelGrid
 from mocap.data.depth import DepthNoise
+from mocap.data.keypoints import NOBODY
 from mocap.data.voxels import Voxels
 from mocap.errors import MocapError
 from mocap.foreground.pixels import sample_silhouettes
@@ -28,6 +29,7 @@ from mocap.pipeline.stage import (
     StageReport,
 )
 from mocap.products.hulls import PRODUCT, hull_attrs, hull_row, stored_faults, stored_grid
+from mocap.products.keypoints import known_points
 from mocap.products.masks import never_empty, read_masks
 from mocap.products.occluders import stored_occluders
 from mocap.volume import (
@@ -44,6 +46,7 @@ from mocap.volume import (
     usable_cameras,
 )
 from mocap.volume.depth import DepthView, is_free, measured_surface
+from mocap.volume.known_persons import completed, nobodys
 from mocap.volume.phantoms import phantoms
 
 _EMPTY_SHARE = 0.1
@@ -118,12 +121,16 @@ class _Carving:
         pictures: Sequence[NDArray[np.uint8]] | None,
         used: NDArray[np.bool_],
         views: Sequence[DepthView] = (),
+        known: NDArray[np.float64] = NOBODY,
     ) -> tuple[Hull, Voxels]:
-        """The hull of one frame from the cameras in use, and the voxels around it of which nothing is known."""
+        """The hull of one frame from the cameras in use, and the voxels around it of which nothing is known.
+
+        known : (P, K, 3) m, keypoints on which cameras agree.
+        """
         settings = self.config.volume
         rows = np.flatnonzero(used).tolist()
         carver = self.carver(tuple(self.rig.names[i] for i in rows))
-        own = [masks[i] for i in rows]
+        own = completed([masks[i] for i in rows], carver.rig, known)
         k = faulty_views(self.session, self.config, len(masks) - len(rows))
         min_views = None if settings.min_views == "auto" else min(settings.min_views, len(rows))
 
@@ -131,6 +138,7 @@ class _Carving:
             voxels = carver.carve(
                 own, n_faulty_views=k, min_views=min_views, min_votes=min_votes, outside=settings.outside_view
             )
+            voxels = voxels[~nobodys(voxels, self.grid, carver.rig, known)]
             return voxels[~is_free(voxels, self.grid, views)] if views else voxels
 
         voxels, fewer = carved(min_views), _fewer_views(settings, len(rows))
@@ -210,6 +218,11 @@ def _reads(job: Job) -> Sources:
     return {**masks, **pictures, **depth}
 
 
+def _reads_beside_keypoints(job: Job) -> Sources:
+    points, frames = known_points(job.store, job.session.fps), job.session.frames
+    return {**_reads(job), "known": ((frame, points[frame]) for frame in frames)}
+
+
 def _start(job: Job) -> _Walk:
     session, config = job.session, job.config
     try:
@@ -238,7 +251,7 @@ def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
     assert seen.masks is not None
     used = walk.used(seen)
     views = walk.carving.views(seen.depth, used)
-    hull, unknown = walk.carving.hull(seen.masks, seen.pictures, used, views)
+    hull, unknown = walk.carving.hull(seen.masks, seen.pictures, used, views, seen.known)
     measured = None
     if seen.depth is not None:
         measured = np.full((len(hull.voxels), 3), np.nan, dtype=np.float32)
@@ -377,4 +390,11 @@ CARVE = Stage(
     needs_whole=("segment", "occluders"),
     sections=("volume",),
     facts=("room_bounds_m", "depth"),
+)
+# Keypoints say where silhouettes lack somebody, and where nobody is.
+FUSED_CARVE = replace(
+    CARVE,
+    work=FrameWork(_reads_beside_keypoints, _start, _step, _finish, finds=("hull",)),
+    needs=("segment", "occluders", "keypoints"),
+    facts=("fps", "room_bounds_m", "depth"),
 )

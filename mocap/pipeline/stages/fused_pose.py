@@ -25,6 +25,7 @@ from mocap.pose.volume import HullOf, VolumeObservation, VolumeTools
 from mocap.products import followed as followed_product
 from mocap.products import keypoints as keypoints_product
 from mocap.products import poses as poses_product
+from mocap.products.keypoints import known_points
 from mocap.products.tracks import stored_tracks
 from mocap.tracking.figure_faults import FaultSettings, find_volume_fault
 from mocap.tracking.figures import TRUNK, FigureSettings, figures_of_places
@@ -40,7 +41,7 @@ def fused_pose_stage(job: Job) -> None:
 
     # Figures are shared out among all who are there.
     everybody = hashlib.sha256(tracks.frame.tobytes() + tracks.person.tobytes()).hexdigest()
-    solve_poses(job, both, everybody)
+    solve_poses(job, both, everybody, known_points(job.store, job.session.fps))
 
 
 def views_of_tracks(

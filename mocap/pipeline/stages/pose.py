@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from threading import Lock
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Mask
 from mocap.body import Body
 from mocap.body.initial import HeightEstimate
 from mocap.body.model import load_body_model
 from mocap.data import Occluders, Tracks, VoxelGrid
 from mocap.data import n_judges as judges_of
+from mocap.data.keypoints import NOBODY
 from mocap.forks import can_fork
 from mocap.io.session import Session
 from mocap.io.store import StageStore
@@ -53,6 +56,7 @@ from mocap.products.tracks import stored_tracks
 from mocap.threads import in_parallel
 from mocap.tracking.renaming import Renaming, renamed
 from mocap.volume import surface_voxels
+from mocap.volume.known_persons import missing_parts
 
 
 def pose_stage(job: Job) -> None:
@@ -67,16 +71,24 @@ def pose_stage(job: Job) -> None:
 # Tools, hulls and number of a person -> what is seen of it.
 ObservationOf = Callable[[VolumeTools, HullOf, int], VolumeObservation]
 
+# Frame -> the keypoints (P, K, 3) m of the persons on whom cameras agree.
+KnownPoints = Mapping[int, NDArray[np.float64]]
+NOTHING_KNOWN: KnownPoints = MappingProxyType({})
+
 
 def volumes_alone(tools: VolumeTools, hull_of: HullOf, person: int) -> VolumeObservation:
     """What is seen of a person: its hulls."""
     return VolumeObservation(tools, hull_of)
 
 
-def solve_poses(job: Job, observation_of: ObservationOf, others: str = "") -> None:
+def solve_poses(
+    job: Job, observation_of: ObservationOf, others: str = "", known: KnownPoints = NOTHING_KNOWN
+) -> None:
     """Poses of every person in the stored tracks, from volumes, into the store.  others : as in `solve_persons`."""
     found = stored_tracks(job.store, job.session.fps)
-    solve_persons(job, found, "voxels", lambda renamings: PoseWork(job, renamings, observation_of), others)
+    solve_persons(
+        job, found, "voxels", lambda renamings: PoseWork(job, renamings, observation_of, known), others
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +98,7 @@ class PoseWork:
     job: Job
     renamings: Sequence[Renaming] = ()
     observation_of: ObservationOf = volumes_alone
+    known: KnownPoints = field(default_factory=dict)
 
     def tools(self, height_m: float, n_threads: int) -> VolumeTools:
         """Tools of a person of a height."""
@@ -110,7 +123,7 @@ class PoseWork:
 
     def hull_of(self, person: int) -> HullOf:
         """frame -> the voxels of a person."""
-        return hulls_of_person(self.job.session, self.job.store, person, self.renamings)
+        return hulls_of_person(self.job.session, self.job.store, person, self.renamings, self.known)
 
     def evidence_of(self, one: FollowedPerson) -> Callable[[int], VolumeEvidence | None]:
         """Row of a person -> its hull with the body of that person."""
@@ -179,11 +192,15 @@ def estimate_poses(job: Job, tracks: Tracks) -> list[PersonPoses]:
 
 
 def hulls_of_person(
-    session: Session, store: StageStore, person: int, renamings: Sequence[Renaming] = ()
+    session: Session,
+    store: StageStore,
+    person: int,
+    renamings: Sequence[Renaming] = (),
+    known: KnownPoints = NOTHING_KNOWN,
 ) -> HullOf:
     """frame -> the voxels of one person, with its outlines, from the products of the earlier stages.
 
-    renamings : what owners are called.
+    renamings : what owners are called.  known : where keypoints say what silhouettes lack.
     """
     views = PersonViews(session, stored_grid(store), stored_occluders(store, session.rig))
     hulls, segments = store.reader(hulls_product.PRODUCT), store.reader(masks_product.PRODUCT)
@@ -192,9 +209,20 @@ def hulls_of_person(
     @lru_cache(maxsize=8)
     def hull_of(frame: int) -> PersonHull | None:
         owner = renamed(owners_at(owners, frame), frame, renamings)
-        return views.hull(hulls.read(frame), owner, person, lambda: segments.read(frame))
+        return views.hull(
+            hulls.read(frame),
+            owner,
+            person,
+            lambda: segments.read(frame),
+            known.get(frame, NOBODY),
+        )
 
     return hull_of
+
+
+def _either(a: Mask | None, b: Mask | None) -> Mask | None:
+    """What is in one of two masks, None = nothing."""
+    return b if a is None else a if b is None else a | b
 
 
 class PersonViews:
@@ -210,11 +238,12 @@ class PersonViews:
         owner: NDArray[np.unsignedinteger[Any]],
         person: int,
         segmented: Callable[[], Mapping[str, NDArray[Any]]],
+        known: NDArray[np.float64] = NOBODY,
     ) -> PersonHull | None:
         """The person's voxels and how its outlines and rays are made; None without a voxel.
 
         arrays, segmented : rows of hulls and, when outlines are asked for, of masks.  owner : (N,) of the hull's
-        voxels, 0 = nobody.  person : as `owner` calls it.
+        voxels, 0 = nobody.  person : as `owner` calls it.  known : (P, K, 3) m, keypoints on which cameras agree.
         """
         rig, grid, occluders = self._session.rig, self._grid, self._occluders
         keep = owner == person
@@ -229,15 +258,21 @@ class PersonViews:
         @lru_cache(maxsize=1)
         def outlines() -> Outlines:
             found, surface = segmented(), grid.centers(voxels[is_surface])
+            masks = masks_from_arrays(found, self._session)
+            lacks = missing_parts(masks, rig, known)
+            hidden = [
+                _either(occluders.hidden_pixels(camera, surface), lacking)
+                for camera, lacking in zip(rig, lacks, strict=True)
+            ]
             return person_outlines(
                 self._views,
                 rig,
-                masks_from_arrays(found, self._session),
+                masks,
                 surface,
                 grid.centers(others.astype(np.int32)),
                 n_points=OutlineFitSettings().n_outline_points,
                 is_whole=found["usable"] & arrays["used"].astype(np.bool_),
-                hidden=[occluders.hidden_pixels(camera, surface) for camera in rig],
+                hidden=hidden,
             )
 
         @lru_cache(maxsize=1)

@@ -1,0 +1,109 @@
+"""Runs on volumes and keypoints together: what silhouettes lack is made good before the volume is carved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from keypoint_world import keypoint_world, write_keypoint_session
+
+from mocap.body.markers import marker_positions
+from mocap.data.keypoints import KEYPOINTS, Figures
+from mocap.io.session import open_session
+from mocap.io.store import StageStore
+from mocap.pipeline.config import load_config
+from mocap.pipeline.run import run_session
+from mocap.pipeline.stages.pose import hulls_of_person
+from mocap.products.hulls import stored_grid
+from mocap.products.keypoints import PRODUCT, keypoint_row, known_points
+from mocap.products.tracks import stored_tracks
+from mocap.volume.known_persons import flesh_along
+from mocap.volume.residuals import silhouette
+
+N_FRAMES, FRAME = 8, 5
+FILES_M = 2e-4  # what digits of pixels in files leave of a point
+LOW_M = 0.7  # below it a cabinet hides the person from the second camera
+WORLD = keypoint_world(N_FRAMES, n_cameras=3)
+POINTS = marker_positions(WORLD.body, WORLD.markers, WORLD.states[0])
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three cameras, of which the second never sees the legs; its keypoints are guesses that happen to be right."""
+    root = write_keypoint_session(WORLD, tmp_path_factory.mktemp("fused") / "session")
+    for c, camera in enumerate(WORLD.rig):
+        (root / "masks" / camera.name).mkdir(parents=True)
+        for frame, person in enumerate(POINTS):
+            flesh = flesh_along(person)[0]
+            seen = flesh[flesh[:, 2] > LOW_M] if c == 1 else flesh
+            mask = 255 * silhouette(camera, seen, 0.12).astype(np.uint8)
+            cv2.imwrite(str(root / "masks" / camera.name / f"{frame:06d}.png"), mask)
+    return root
+
+
+def run(session: Path, out: Path, kind: str) -> StageStore:
+    config = load_config("default", ("output.formats=[]", f"observation={kind}"))
+    run_session(session, out, config=config, until="track")
+    return StageStore(next(out.rglob("carve")).parent)
+
+
+def test_legs_that_one_camera_does_not_see_are_in_the_volume(session: Path, tmp_path: Path) -> None:
+    ankle = POINTS[FRAME, KEYPOINTS.index("left_ankle")]
+    opened = open_session(session)
+    for kind, has_legs in (("voxels", False), ("fused", True)):
+        store = run(session, tmp_path / kind, kind)
+        tracks = stored_tracks(store, opened.fps)
+        hull = hulls_of_person(opened, store, int(tracks.person[0]))(FRAME)
+        assert hull is not None
+        centres = stored_grid(store).centers(hull.voxels)
+        assert (np.linalg.norm(centres - ankle, axis=1).min() < 0.06) == has_legs
+    known = known_points(store, opened.fps)
+    np.testing.assert_allclose(known[FRAME], POINTS[FRAME][None], atol=FILES_M)
+
+
+def test_where_a_silhouette_is_cut_off_nobody_is_pulled_in(session: Path, tmp_path: Path) -> None:
+    """Rays of the outline along the cut would draw the legs up to it."""
+    opened = open_session(session)
+    store = run(session, tmp_path, "fused")
+    person = int(stored_tracks(store, opened.fps).person[0])
+    n_at_cut = {}
+    for name, known in (("masks alone", {}), ("keypoints", known_points(store, opened.fps))):
+        hull = hulls_of_person(opened, store, person, known=known)(FRAME)
+        assert hull is not None
+        assert hull.outlines is not None
+        found = hull.outlines()
+        in_second = found.camera == 1
+        down = found.normals[in_second] @ np.array([0.0, 0.0, -1.0])
+        thigh = POINTS[FRAME, KEYPOINTS.index("left_hip")] * [1, 1, 0] + [0, 0, LOW_M]
+        away = np.cross(thigh - found.origins[in_second], found.directions[in_second])
+        near = np.linalg.norm(away, axis=1) < 0.2
+        n_at_cut[name] = int((near & (down > 0.7)).sum())
+    assert n_at_cut["masks alone"] >= 4
+    assert n_at_cut["keypoints"] == 0
+
+
+def test_points_that_are_lost_for_a_moment_lie_between_their_neighbours(tmp_path: Path) -> None:
+    """Views on which nobody agrees for up to half a second; what is lost for longer, or at an end, is not known."""
+    store = StageStore(tmp_path)
+    points = np.zeros((12, len(KEYPOINTS), 3))
+    points[:, :, 0] = 0.1 * np.arange(12)[:, None]
+    points[3:5, 0] = np.nan
+    points[2:9, 1] = np.nan
+    points[10:, 2] = np.nan
+    uv, confidence = np.zeros((2, len(KEYPOINTS), 2)), np.ones((2, len(KEYPOINTS)))
+    figures = Figures(uv, confidence, np.array([0, 1]))
+    with store.writer(PRODUCT, "key") as out:
+        for frame in range(12):
+            of = np.array([1, 1]) if frame != 11 else np.array([1, 0])
+            out.append(frame, **keypoint_row(figures, of, {1: points[frame]} if frame != 6 else {}))
+    found = known_points(store, fps=10.0)
+    assert sorted(found) == list(range(12))
+    x = np.array([found[frame][0, :, 0] for frame in range(11)])
+    np.testing.assert_allclose(x[:, 0], 0.1 * np.arange(11))
+    assert np.isnan(x[2:9, 1]).all()
+    np.testing.assert_allclose(x[9:, 1], [0.9, 1.0])
+    assert np.isnan(x[10, 2])
+    # In the last frame one camera alone shows the person: how far away is a guess.
+    assert found[11].shape == (0, len(KEYPOINTS), 3)
