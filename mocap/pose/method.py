@@ -648,8 +648,8 @@ class KeypointPoseSettings(_Strict):
     """As `scale`, beside volumes: views that do not agree with the others have no say there, and those that do outweigh
     a volume which lacks a whole limb."""
     fused_noise: float = 3.0
-    """Factor on the deviation of keypoints beside the volumes of `tight_cameras`; with fewer it falls with their number:
-    volumes of few cameras are loose, and keypoints weigh more beside them."""
+    """Factor on the deviation of keypoints beside the volumes of `tight_cameras`; with fewer it falls with their
+    number: volumes of few cameras are loose, and keypoints weigh more beside them."""
     tight_cameras: int = 6
     """Cameras whose volumes are as tight as volumes get."""
     elsewhere_m: float = 0.1

@@ -47,10 +47,14 @@ class FaultSettings:
     """Frames that a camera may be early or late."""
     backward_share: float = 0.7
     """Share of the frames in which faces look away from chests, from which left and right are exchanged."""
+    bent_m: float = 0.05
+    """Distance of a knee from the line of hip and ankle from which it tells where front is: noise leaves 30 mm."""
     flat_m: float = 0.02
     """Deviation of a picture's points from their plane; somebody's who stands lie 35 mm off, by nose and toes."""
     still_m: float = 0.02
     """What a picture's points move over a clip: the noise of keypoints."""
+    still_focal: float = 0.006
+    """The same of a picture that one camera alone shows, as a share of the focal length: 2 cm, 3 m away."""
     pair_better: float = 0.7
     """Of two cameras alone, the share to which another explanation must bring the distance from epipolar lines down: of
     MediaPipe's points left and right exchanged leave 0.43 to 0.63 of it, other clocks 0.2 to 0.53; good ones have
@@ -113,7 +117,8 @@ def find_figure_faults(clip: Clip) -> list[FigureFault]:
     else:
         faults = [_of_camera(clip, camera) for camera in range(len(clip.views.P))]
         found = _or_all_of_them(clip, [fault for fault in faults if fault is not None])
-    return (found or _strangers(clip)) + _mirrored(clip) + _pictures(clip)
+    found = found or [*_strangers(clip), *_pictures_of_one_camera(clip)]
+    return found + _mirrored(clip) + _pictures(clip)
 
 
 def without_pictures(persons: Sequence[FigurePerson], faults: Sequence[FigureFault]) -> list[FigurePerson]:
@@ -388,25 +393,71 @@ def _shares(points: Array, figure: View2D) -> bool:
 
 
 def _mirrored(clip: Clip) -> list[FigureFault]:
-    """Left and right exchanged everywhere: chests look away from the faces above them, and toes point backwards."""
+    """Left and right exchanged everywhere: chests look away from the faces above them, and toes and knees point
+    backwards."""
     signs = []
     for person in clip.persons:
         for points in person.points.values():
             across = points[_ROW["left_hip"]] - points[_ROW["right_hip"]]
             across = across + points[_ROW["left_shoulder"]] - points[_ROW["right_shoulder"]]
             ahead = np.cross(across, [0.0, 0.0, 1.0])
-            face = points[_ROW["nose"]] - 0.5 * (points[_ROW["left_ear"]] + points[_ROW["right_ear"]])
-            feet = [points[_ROW[f"{s}_toe"]] - points[_ROW[f"{s}_heel"]] for s in ("left", "right")]
-            votes = [float(np.sign(ahead @ way)) for way in (face, *feet) if np.isfinite(ahead @ way)]
-            signs += [float(np.sign(sum(votes)))] if votes else []
+            votes = [float(np.sign(ahead @ way)) for way in _forwards(points, clip.settings.bent_m)]
+            signs += [float(np.sign(sum(votes)))] if np.isfinite(ahead).all() and votes else []
     if len(signs) < clip.settings.least_frames or np.mean(np.array(signs) < 0) < clip.settings.backward_share:
         return []
     return [
         FigureFault(
-            "left and right seem exchanged in the keypoints of all cameras: faces and toes point backwards",
+            "left and right seem exchanged in the keypoints of all cameras: faces, toes and knees point backwards",
             "exchange the names, or check that the calibration is not mirrored",
         )
     ]
+
+
+def _forwards(points: Array, bent_m: float) -> list[Array]:
+    """Which way face, feet and bent knees of a person (K, 3) m point, those that are known."""
+    at = {name: points[k] for name, k in _ROW.items()}
+    ways = [at["nose"] - 0.5 * (at["left_ear"] + at["right_ear"])]
+    for side in ("left", "right"):
+        ways.append(at[f"{side}_toe"] - at[f"{side}_heel"])
+        hip, knee, ankle = (at[f"{side}_{name}"] for name in ("hip", "knee", "ankle"))
+        leg = ankle - hip
+        bend = (knee - hip) - ((knee - hip) @ leg) / max(float(leg @ leg), 1e-9) * leg
+        if np.linalg.norm(bend) > bent_m:
+            ways.append(bend)
+    return [way for way in ways if np.isfinite(way).all()]
+
+
+def _pictures_of_one_camera(clip: Clip) -> list[FigureFault]:
+    """Figures that are no person's, of one camera, that are there all the time and never move."""
+    found = []
+    frames = clip.some_frames()
+    for camera, name in enumerate(clip.names):
+        taken = {(f, int(p.views[f][camera])) for p in clip.persons for f in p.views}
+        free = [
+            [g for i, g in enumerate(clip.figures[f]) if g.camera == camera and (f, i) not in taken]
+            for f in frames
+        ]
+        still_px = clip.settings.still_focal * float(clip.views.focal[camera])
+        for first in next((own for own in free if own), []):
+            n = sum(any(_apart_px(first, other) < still_px for other in own) for own in free)
+            if n >= max(clip.settings.least_frames, clip.settings.agreed_share * len(frames)):
+                u, v = np.nanmean(first.uv, axis=0)
+                found.append(
+                    FigureFault(
+                        f"camera {name} shows somebody at pixel ({u:.0f}, {v:.0f}) who never moves and whom no other "
+                        "camera shows: a picture of a person perhaps, which is not followed",
+                        "cover the picture, or take its figures out of the file",
+                        camera,
+                    )
+                )
+    return found
+
+
+def _apart_px(a: View2D, b: View2D) -> float:
+    """Median distance of the keypoints of two figures, px; inf where they share few."""
+    apart = np.linalg.norm(a.uv - b.uv, axis=1)
+    known = apart[np.isfinite(apart)]
+    return float(np.median(known)) if len(known) >= FigureSettings.min_points else float("inf")
 
 
 def _pictures(clip: Clip) -> list[FigureFault]:

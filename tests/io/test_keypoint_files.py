@@ -237,13 +237,25 @@ def test_a_camera_that_is_not_calibrated_is_named(tmp_path: Path) -> None:
         open_session(root)
 
 
-def test_check_names_a_camera_with_half_of_its_frames(tmp_path: Path) -> None:
-    root = write_keypoint_session(keypoint_world(12), tmp_path / "session")
-    path = root / "keypoints" / "cam_2.csv"
+def halved(path: Path) -> None:
+    """Every other frame of a file is taken out."""
     lines = path.read_text().splitlines()
     path.write_text("\n".join([lines[0], *(s for s in lines[1:] if int(s.split(",")[0]) % 2 == 0)]) + "\n")
-    findings = check_session(open_session(root))
-    assert [f.camera for f in findings if "of the frames only" in f.message] == ["cam_2"]
+
+
+def test_check_names_a_camera_with_half_of_its_frames(tmp_path: Path) -> None:
+    root = write_keypoint_session(keypoint_world(12), tmp_path / "session")
+    halved(root / "keypoints" / "cam_2.csv")
+    (finding,) = [f for f in check_session(open_session(root)) if "few of the frames" in f.message]
+    assert (finding.camera, finding.message.rpartition(": ")[2]) == ("cam_2", "cam_2 50 %")
+
+
+def test_check_says_once_that_cameras_have_half_of_their_frames(tmp_path: Path) -> None:
+    root = write_keypoint_session(keypoint_world(12), tmp_path / "session")
+    for name in ("cam_0", "cam_2"):
+        halved(root / "keypoints" / f"{name}.csv")
+    (finding,) = [f for f in check_session(open_session(root)) if "few of the frames" in f.message]
+    assert (finding.camera, finding.message.rpartition(": ")[2]) == (None, "cam_0 50 %, cam_2 50 %")
 
 
 def test_check_says_which_file_cannot_be_read(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from keypoint_world import KeypointWorld, keypoint_world
 from numpy.typing import NDArray
 
 from mocap.data import CameraRig
-from mocap.data.keypoints import MIRRORED
+from mocap.data.keypoints import KEYPOINTS, MIRRORED
 from mocap.likelihood.markers import marker_views, undistort
 from mocap.tracking.figure_faults import (
     Clip,
@@ -87,6 +87,21 @@ def test_mirrored_names_of_all_cameras_are_named(world: KeypointWorld) -> None:
     assert "in the keypoints of all cameras" in fault.message
 
 
+def without(figure: View2D, *kinds: str) -> View2D:
+    """A figure of a tool that does not name some kinds of points."""
+    uv = figure.uv.copy()
+    uv[[k for k, name in enumerate(KEYPOINTS) if name.rpartition("_")[2] in kinds]] = np.nan
+    return replace(figure, uv=uv)
+
+
+def test_knees_tell_mirrored_names_where_a_tool_names_neither_faces_nor_feet(world: KeypointWorld) -> None:
+    own = figures_of(world)
+    right = {f: [without(g, "nose", "eye", "ear", "heel", "toe") for g in own[f]] for f in own}
+    assert faults(right, world) == []
+    (fault,) = faults({f: [mirrored(g) for g in right[f]] for f in right}, world)
+    assert "in the keypoints of all cameras" in fault.message
+
+
 def test_a_late_camera_and_another_frame_rate_are_named(world: KeypointWorld) -> None:
     own = figures_of(world)
     late = {f: [g for g in own[f] if g.camera != 1] for f in own}
@@ -133,6 +148,20 @@ def test_a_poster_is_no_person(world: KeypointWorld) -> None:
     assert [f.person for f in found if f.person is not None] != []
     assert len(found) == 1
     assert "never moves and is flat" in found[0].message
+
+
+def test_a_poster_that_one_camera_alone_shows_is_named(world: KeypointWorld) -> None:
+    """Noise of a pixel; a person who sways by 5 cm before one camera is no picture."""
+    rng = np.random.default_rng(4)
+    camera = world.rig[3]
+    for sway_m, is_picture in ((0.0, True), (0.1, False)):
+        figures = figures_of(world)
+        for frame, seen in figures.items():
+            uv, _ = camera.project(poster(world) + np.array([0.0, sway_m * np.sin(0.3 * frame), 0.0]))
+            uv = np.where(camera.contains(uv)[:, None], uv + rng.normal(0.0, 1.0, uv.shape), np.nan)
+            seen.append(View2D(3, undistort(camera, uv), np.full(len(uv), 0.8)))
+        found = [f for f in faults(figures, world) if "never moves" in f.message]
+        assert [f.camera for f in found] == [3] * is_picture
 
 
 @pytest.fixture(scope="module")

@@ -228,17 +228,22 @@ def keypoints(session: Session) -> list[Finding]:
             f"{counts.max()}",
         )
     ]
-    for c, name in enumerate(session.rig.names):
-        share = float((counts[:, c] > 0).mean())
-        if name in session.keypoint_sources and share < _FEW_FIGURES:
-            out.append(
-                Finding(
-                    "warning",
-                    f"keypoints/ has somebody in {100 * share:.0f} % of the frames only",
-                    name,
-                    "check that the files are of this clip, at its frame rate and from its first frame on",
-                )
+    share = (counts > 0).mean(axis=0)
+    seldom = [
+        (name, float(own))
+        for name, own in zip(session.rig.names, share, strict=True)
+        if name in session.keypoint_sources and own < _FEW_FIGURES
+    ]
+    if seldom:
+        names = ", ".join(f"{name} {100 * own:.0f} %" for name, own in seldom)
+        out.append(
+            Finding(
+                "warning",
+                f"keypoints/ has somebody in few of the frames only: {names}",
+                seldom[0][0] if len(seldom) == 1 else None,
+                "check that the files are of this clip, at its frame rate and from its first frame on",
             )
+        )
     return out
 
 
