@@ -24,7 +24,6 @@ WORDS = {
     "keypoints": "keypoints alone",
     "volumes": "volumes alone",
     "fused": "volumes and keypoints",
-    "fused_depth": "with depth of one camera",
 }
 METHODS = tuple(WORDS)
 TITLES = {
