@@ -56,7 +56,7 @@ WALLS: dict[str, dict[str, frozenset[str]]] = {
         "voxels": frozenset(),
         "markers": frozenset(),
         "keypoints": frozenset({"markers"}),
-        "residuals": frozenset({"voxels"}),
+        "residuals": frozenset({"voxels", "colours"}),
         "colours": frozenset(),
     }
 }

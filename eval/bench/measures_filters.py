@@ -33,7 +33,7 @@ def resampling_over_filterpy() -> float:
 @lru_cache(maxsize=1)
 def _colours() -> ColourProblem:
     """Rays from four cameras through the surface of the scene's body, in two colours, learnt once."""
-    from mocap.likelihood.colours import PixelRays, colour_bins_of_pixels, new_appearance
+    from mocap.likelihood.colours import PixelRays, new_appearance
 
     s = body_scene()
     points = s.surface.hull.points
@@ -45,7 +45,7 @@ def _colours() -> ColourProblem:
     camera = np.sort(np.arange(len(points)) % 4)
     directions = points - origins[camera]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    rays = PixelRays(origins, camera, directions, colour_bins_of_pixels(rgb))
+    rays = PixelRays(origins, camera, directions, rgb)
     first = ColourProblem(body, rays, new_appearance(body))
     return ColourProblem(body, rays, first.learnt(s.truth, np.ones(body.layout.n_parts, dtype=np.bool_)))
 

@@ -98,6 +98,7 @@ def pose_settings(pose: PoseConfig, method: Method, layout: StateLayout) -> Pose
         outline_weight=pose.outline_weight,
         posture_nats=pose.posture_nats,
         colour_weight=pose.colour_weight,
+        texture_weight=pose.texture_weight,
         feedback_share=pose.feedback_share,
         look_again=pose.look_again,
         repair=pose.repair,

@@ -26,6 +26,7 @@ from mocap.pose.start import (
     try_first_poses,
     walking_velocity,
 )
+from mocap.pose.texture import settle_on_texture
 from mocap.pose.volume import VolumeEvidence, VolumeObservation, VolumeTools
 from mocap.profiling import part
 from mocap.rng import rng_for
@@ -256,6 +257,9 @@ def _followed(
     if tools.settings.repair and tools.settings.refine:
         with part("repair"):
             _repair(learnt, series)
+    if tools.settings.texture_weight > 0 and tools.settings.refine:
+        with part("texture"):
+            settle_on_texture(clip, series)
     return series
 
 

@@ -23,6 +23,7 @@ class PoseSettings:
     outline_weight: float = 8.0
     posture_nats: float = 2.0
     colour_weight: float = 200.0
+    texture_weight: float = 0.0
     feedback_share: float = 0.5
     look_again: bool = True
     repair: bool = True

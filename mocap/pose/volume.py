@@ -165,7 +165,7 @@ class VolumeTools(PersonTools):
         with_outlines = hull.outlines is not None and settings.outline_weight > 0
         with part("outlines"):
             outlines = hull.outlines() if hull.outlines is not None and with_outlines else None
-        with_colours = hull.rays is not None and settings.colour_weight > 0
+        with_colours = hull.rays is not None and max(settings.colour_weight, settings.texture_weight) > 0
         with part("colours"):
             rays = hull.rays() if hull.rays is not None and with_colours else None
         return PreparedHull(hull, volume, surface, outlines, rays)

@@ -45,7 +45,7 @@ def rays_at(flesh: Flesh, state: np.ndarray, n: int = 900) -> PixelRays:
     camera = np.sort(np.arange(n) % 4)
     directions = aim - origins[camera]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return PixelRays(origins, camera, directions, np.zeros(n, dtype=np.int64))
+    return PixelRays(origins, camera, directions, np.zeros((n, 3), dtype=np.uint8))
 
 
 def cones_seen(flesh: Flesh, state: np.ndarray, rays: PixelRays) -> np.ndarray:
@@ -81,7 +81,7 @@ def dressed(flesh: Flesh, state: np.ndarray, appearance: Appearance | None = Non
         dtype=np.uint8,
     )
     known = new_appearance(flesh.body) if appearance is None else appearance
-    return ColourProblem(flesh.body, replace(rays, bins=colour_bins_of_pixels(rgb)), known)
+    return ColourProblem(flesh.body, replace(rays, rgb=rgb), known)
 
 
 def all_parts(flesh: Flesh) -> np.ndarray:
@@ -249,7 +249,7 @@ def test_an_arm_before_the_trunk_is_seen(coarse_flesh: Flesh, standing: np.ndarr
 
 def test_no_visible_pixel_says_nothing(coarse_flesh: Flesh, standing: np.ndarray) -> None:
     none = PixelRays(
-        np.zeros((4, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+        np.zeros((4, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint8)
     )
     empty = ColourProblem(coarse_flesh.body, none, new_appearance(coarse_flesh.body))
     assert empty.log_ratio(standing[None]).tolist() == [0.0]

@@ -5,6 +5,7 @@ from mocap.likelihood.colours.appearance import (
     ColourProblem,
     PixelRays,
     colour_bins_of_pixels,
+    luma_and_chroma,
     new_appearance,
 )
 from mocap.likelihood.colours.rays import person_rays
@@ -14,6 +15,7 @@ __all__ = [
     "ColourProblem",
     "PixelRays",
     "colour_bins_of_pixels",
+    "luma_and_chroma",
     "new_appearance",
     "person_rays",
 ]

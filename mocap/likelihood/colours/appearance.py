@@ -29,11 +29,16 @@ _TOUCH_M = 0.05  # a ray that passes the flesh this closely sees it: clothes
 _LONG_SHARE = 0.08  # of the body's height: longer cones have two zones, such as sleeve and skin
 
 
+def luma_and_chroma(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Colours (N, 3) as luma, red and blue difference."""
+    if len(rgb) == 0:
+        return np.zeros((0, 3), dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb)[None], cv2.COLOR_RGB2YCrCb)[0], dtype=np.uint8)
+
+
 def colour_bins_of_pixels(rgb: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Colours (N, 3) uint8 as bins (N,): luma coarse, chroma fine."""
-    if len(rgb) == 0:
-        return np.zeros(0, dtype=np.int64)
-    y = cv2.cvtColor(np.ascontiguousarray(rgb)[None], cv2.COLOR_RGB2YCrCb)[0].astype(np.int64)
+    y = luma_and_chroma(rgb).astype(np.int64)
     step = (_CHROMA_HIGH - _CHROMA_LOW) >> _CHROMA_BITS
     chroma = np.clip((y[:, 1:] - _CHROMA_LOW) // step, 0, (1 << _CHROMA_BITS) - 1)
     luma = y[:, 0] >> (8 - _LUMA_BITS)
@@ -109,16 +114,21 @@ class PixelRays:
     """Pixels of one person in one frame.
 
     origins : (C, 3) m, the cameras' centres.  camera : (M,) index, ascending.  directions : (M, 3) unit, world.
-    bins : (M,) the pixels' colours, see `colour_bins_of_pixels`.
+    rgb : (M, 3) the pixels' colours.
     """
 
     origins: Array
     camera: NDArray[np.int64]
     directions: Array
-    bins: NDArray[np.int64]
+    rgb: NDArray[np.uint8]
 
     def __len__(self) -> int:
         return len(self.camera)
+
+    @cached_property
+    def bins(self) -> NDArray[np.int64]:
+        """The bin of every pixel's colour, (M,)."""
+        return colour_bins_of_pixels(self.rgb)
 
     @cached_property
     def columns(self) -> NDArray[np.float32]:
@@ -134,7 +144,7 @@ class PixelRays:
 
     def taken(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> PixelRays:
         """Only some of them, by index or as a mask."""
-        return PixelRays(self.origins, self.camera[which], self.directions[which], self.bins[which])
+        return PixelRays(self.origins, self.camera[which], self.directions[which], self.rgb[which])
 
 
 def _passing(rays: PixelRays, center: Array, radius: float) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from mocap.arrays import Array
 from mocap.data.camera import Camera, CameraRig
 from mocap.data.pixels import SilhouettePixels, lattice_step
 from mocap.geometry._pixel_kernels import are_near, pixels_of_points
-from mocap.likelihood.colours.appearance import PixelRays, colour_bins_of_pixels
+from mocap.likelihood.colours.appearance import PixelRays
 
 _MOST_RAYS = 1600
 
@@ -50,7 +50,7 @@ def person_rays(
         np.array([camera.center for camera in rig]),
         np.concatenate([*cameras, np.zeros(0, dtype=np.int64)]),
         np.concatenate([*directions, np.zeros((0, 3))]),
-        colour_bins_of_pixels(np.concatenate([*colours, np.zeros((0, 3), dtype=np.uint8)])),
+        np.concatenate([*colours, np.zeros((0, 3), dtype=np.uint8)]),
     )
     return rays.every(-(-len(rays) // _MOST_RAYS))
 

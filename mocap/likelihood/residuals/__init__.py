@@ -1,4 +1,4 @@
-"""Residuals: distances of the flesh to hull surface and outlines, and their Levenberg-Marquardt."""
+"""Residuals: distances of the flesh to hull surface and outlines, their Levenberg-Marquardt, and texture."""
 
 from mocap.likelihood.residuals.body_fit import BodyFit
 from mocap.likelihood.residuals.outlines import (
@@ -10,6 +10,7 @@ from mocap.likelihood.residuals.outlines import (
     pinhole_view,
 )
 from mocap.likelihood.residuals.surface import HullSurface, SurfaceFitSettings, SurfaceProblem, hull_surface
+from mocap.likelihood.residuals.texture import Texture, TextureProblem, TextureSettings, learnt_texture
 from mocap.likelihood.residuals.total import SumProblem
 
 __all__ = [
@@ -22,7 +23,11 @@ __all__ = [
     "SumProblem",
     "SurfaceFitSettings",
     "SurfaceProblem",
+    "Texture",
+    "TextureProblem",
+    "TextureSettings",
     "hull_surface",
+    "learnt_texture",
     "person_outlines",
     "pinhole_view",
 ]

@@ -1,0 +1,154 @@
+"""What the error that is left consists of: session by session, from the error as it is to what the body could reach.
+
+    python -m eval.error_budget [--only dev:walk,dev:cross] [--seed 0] [--work out/eval] [--trust-store]
+
+The default preset, pose stage alone on the same masks, volumes and tracks. Columns, mm, means over 15 landmarks:
+
+    raw, after_offset   as they are, and after one offset per landmark learnt on the first ten frames
+    best_offset         after the best constant offset in the torso's frame
+    bone_offset         after the best constant offset in the frame of the joint that carries the landmark
+    fast                of that, what changes within 0.3 s
+    lost_percent        landmarks more than 100 mm away, percent
+    not_held            best_offset when feet that stand are not held
+    from_truth          best_offset of poses refined from the true ones: what hull and outlines prefer
+    body                bone_offset of the found body fitted to the true landmarks: what its joints can reach
+    nats                by how much the residuals prefer their own minimum to the true pose
+
+Writes eval/results/error_budget.csv, whole, when all sessions are run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eval.landmark_bias import SESSIONS, _running_mean
+from eval.pose_ablation import prepare
+from eval.pose_sessions import ROOT
+from eval.second_pass import evidence_of_rows, nearest
+from eval.whole import write_csv
+from mocap.arrays import Array
+from mocap.body import Body, landmarks_of
+from mocap.body.kinematics import joint_transforms, point_jacobian
+from mocap.data import LANDMARKS
+from mocap.filters.refine import RefineSettings, refine
+from mocap.io.session import open_session
+from mocap.io.store import StageStore
+from mocap.io.tables import read_landmarks_csv
+from mocap.metrics.points import offset_corrected, point_errors
+from mocap.pipeline.config import load_config
+from mocap.pipeline.stage import Job
+from mocap.pipeline.stages.pose import PoseWork
+from mocap.pose.point_fit import PointFit
+from mocap.pose.result import FollowedPerson
+from mocap.pose.smooth import smooth_motion
+from mocap.products.tracks import stored_tracks
+
+RESULTS = ROOT / "eval" / "results" / "error_budget.csv"
+FIELDS = (
+    *("session", "person", "raw", "after_offset", "best_offset", "bone_offset", "fast", "lost_percent"),
+    *("not_held", "from_truth", "body", "nats"),
+)
+N = len(LANDMARKS)
+_LOST_MM = 100.0
+_ROUNDS = 4
+
+
+def fitted_to(body: Body, states: Array, true: Array) -> tuple[Array, Array]:
+    """States (T, D) near others whose landmarks, each moved by one constant in its joint's frame, meet the true ones
+    (T, 15, 3) m; and these moved landmarks."""
+    joint, found = body.landmark_joint[:N], states.copy()
+    settings = RefineSettings(np.full(states.shape[1], 0.3), residual_std_m=0.003, n_iterations=8)
+    for _ in range(_ROUNDS):
+        R, t = joint_transforms(body, found)
+        offset = np.einsum("tmji,tmj->tmi", R[:, joint], true - t[:, joint]).mean(axis=0)
+        fits = [PointFit(body, joint, offset, places) for places in true]
+        found = np.stack([refine(fit, start, settings)[0] for fit, start in zip(fits, states, strict=True)])
+    points = [point_jacobian(body, state, joint, offset)[0] for state in found]
+    return found, np.stack(points)
+
+
+def row_of(work: PoseWork, one: FollowedPerson, true: Array, fps: float) -> dict[str, float]:
+    """The columns of one person.  true : (T, 15, 3) m, NaN in frames without."""
+    body, settings = one.body, one.tools.settings
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(true).all(axis=(1, 2)))
+    t = true[known]
+    states = work.finished(one).states
+
+    def best(poses: Array, rows: Array) -> float:
+        places = landmarks_of(body, poses)[:, :N]
+        return float(point_errors(offset_corrected(places, rows, len(rows)), rows).mean())
+
+    places = landmarks_of(body, states[known])[:, :N]
+    R, _ = joint_transforms(body, states[known])
+    local = np.einsum("tmji,tmj->tmi", R[:, body.landmark_joint[:N]], 1000.0 * (places - t))
+    rest = local - local.mean(axis=0)
+    method = settings.method
+    loose = replace(method, contact=replace(method.contact, hold=0.0))
+    walking = smooth_motion(body, one.series, fps, settings.smooth_lag_frames, loose)
+    fitted, points = fitted_to(body, states[known], t)
+    evidence = [seen for seen, is_known in zip(evidence_of_rows(work, one), known, strict=True) if is_known]
+    refined, nats = fitted.copy(), []
+    for row, seen in enumerate(evidence):
+        if seen is None:
+            continue
+        refined[row] = seen.refined(fitted[row])
+        costs = [seen.residuals.normal_equations(s)[0] / seen.m2_per_nat for s in (fitted[row], refined[row])]
+        nats.append(costs[0] - costs[1])
+    return {
+        "raw": float(point_errors(places, t).mean()),
+        "after_offset": float(point_errors(offset_corrected(places, t), t).mean()),
+        "best_offset": best(states[known], t),
+        "bone_offset": float(np.linalg.norm(rest, axis=2).mean()),
+        "fast": float(np.linalg.norm(rest - _running_mean(rest), axis=2).mean()),
+        "lost_percent": 100.0 * float((point_errors(places, t) > _LOST_MM).mean()),
+        "not_held": best(walking[known], t),
+        "from_truth": best(refined, t),
+        "body": float(point_errors(points, t).mean()),
+        "nats": float(np.mean(nats)),
+    }
+
+
+def rows_of(name: str, seed: int, work_folder: Path, *, trust_store: bool) -> list[dict[str, Any]]:
+    """A row per person of a session."""
+    folder, out = prepare(name, work_folder, trust_store=trust_store)
+    session, store = open_session(folder), StageStore(out / "store.zarr")
+    truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
+    work = PoseWork(Job(session, load_config("default", ()), store, seed=seed))
+    rows = []
+    for one in work.follow(stored_tracks(store, session.fps)):
+        person = min(truth, key=lambda motion: nearest(one, motion.frames, motion.landmarks[:, 0]))
+        true = np.full((len(one.frames), N, 3), np.nan)
+        _, own, of_truth = np.intersect1d(one.frames, person.frames, return_indices=True)
+        true[own] = person.landmarks[of_truth][:, :N]
+        row = row_of(work, one, true, session.fps)
+        rows.append({"session": name, "person": one.person} | {k: f"{v:.1f}" for k, v in row.items()})
+        sys.stdout.write(" ".join(f"{key}={value}" for key, value in rows[-1].items()) + "\n")
+        sys.stdout.flush()
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", help="sessions, separated by commas; then the table is not written")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
+    parser.add_argument("--trust-store", action="store_true", help="take masks and volumes as they are")
+    arguments = parser.parse_args()
+    rows = []
+    for name in arguments.only.split(",") if arguments.only else SESSIONS:
+        rows += rows_of(name, arguments.seed, arguments.work, trust_store=arguments.trust_store)
+    if not arguments.only:
+        write_csv(RESULTS, FIELDS, rows)
+
+
+if __name__ == "__main__":
+    main()
