@@ -49,7 +49,7 @@ def main() -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    body = scale_body(load_body_model("girdle"), 1.75)
+    body = scale_body(load_body_model("whole"), 1.75)
     poses = []
     for changes in ({}, STRIDE):
         state = neutral_state(body)
@@ -86,7 +86,7 @@ def _draw(ax: Any, body: Body, state: Array, view: tuple[str, tuple[int, float],
 
     marks = landmarks_of(body, state[None])[0]
     for start, end in bones_between(len(marks)):
-        side = end.partition("_")[0]
+        side = body.landmarks[end].partition("_")[0]
         ends = flat(marks[[start, end]])
         ax.plot(*ends.T, color=SIDES.get(side, "#555555"), lw=5, alpha=0.35, solid_capstyle="round")
     R, t = joint_transforms(body, state[None])

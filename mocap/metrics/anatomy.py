@@ -27,6 +27,7 @@ _MIRROR = np.diag([1.0, 1.0, -1.0])  # left to right, in ISB axes
 # Segment -> the joints whose frame may carry it, from the root outwards: the last one that a skeleton has, does.
 _TRUNK: dict[str, tuple[str, ...]] = {
     "pelvis": ("root", "pelvis"),
+    "lumbar": ("waist", "spine", "lumbar"),
     "thorax": ("waist", "spine", "lumbar", "thorax", "chest"),
     "head": ("neck", "head"),
 }
@@ -82,6 +83,9 @@ _MIDDLE = (
     # Rotation, obliquity, tilt: the sequence of Baker 2001, in which a heading is a heading at any tilt.
     Joint("pelvis", None, "pelvis", "YXZ", (("rotation", 1.0), ("obliquity", 1.0), ("tilt", -1.0))),
     Joint("trunk", "pelvis", "thorax", "ZXY", (("flexion", -1.0), ("bending", 1.0), ("rotation", 1.0))),
+    # The two halves of the trunk's angles, of a body whose spine bends at two places.
+    Joint("lumbar", "pelvis", "lumbar", "ZXY", (("flexion", -1.0), ("bending", 1.0), ("rotation", 1.0))),
+    Joint("thoracic", "lumbar", "thorax", "ZXY", (("flexion", -1.0), ("bending", 1.0), ("rotation", 1.0))),
     Joint("neck", "thorax", "head", "ZXY", (("flexion", -1.0), ("bending", 1.0), ("rotation", 1.0))),
 )
 _PAIRED = (
@@ -122,6 +126,8 @@ def segment_joints(names: Sequence[str]) -> dict[str, int]:
         own = [name for name in candidates if name in names]
         if own:
             found[segment] = list(names).index(own[-1])
+    if found.get("lumbar") == found.get("thorax"):  # one joint bends the whole spine
+        found.pop("lumbar", None)
     return found
 
 

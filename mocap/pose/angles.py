@@ -22,6 +22,7 @@ _BATCH_FRAMES = 200  # bounds the memory of an hour's recording
 # Segment -> the landmarks that show how it lies; of limbs for one side.
 _SHOWN_BY: dict[str, tuple[str, ...]] = {
     "pelvis": ("left_hip", "right_hip", "neck"),
+    "lumbar": ("left_hip", "right_hip", "neck"),
     "thorax": ("left_shoulder", "right_shoulder", "neck"),
     "head": ("neck", "head"),
     "upper_arm": ("shoulder", "elbow"),
@@ -32,6 +33,11 @@ _SHOWN_BY: dict[str, tuple[str, ...]] = {
     "foot": ("ankle", "heel", "toe"),
     "toes": ("toe",),
 }
+# What hulls and outlines do not show, so that it is as usual: how a spine shares the bend of the trunk, and the turn of
+# a forearm, which is round.
+_INFERRED = frozenset(
+    f"{joint}_{angle}" for joint in ("lumbar", "thoracic") for angle in ("flexion", "bending", "rotation")
+) | {"elbow_pronation"}
 # Turns of a limb about its own length show in the bend of the next joint alone.
 _SHOWN_BY_BEND = {
     "hip_rotation": "knee_flexion",
@@ -102,7 +108,7 @@ def _with_spine(
 ) -> tuple[Array, Array]:
     """States (T, D) after the observation of the spine, and variances (T, A) rad^2 of the angles."""
     names, slope = body_angles(body), _slopes(body, states)
-    weak = np.where(body.is_position, 1.0, settings.weak_std_rad) ** -2.0
+    weak = np.where(body.is_position, 1.0, np.minimum(body.usual_std, settings.weak_std_rad)) ** -2.0
     information = np.linalg.inv(landmark_covariance)
     out, variance = states.copy(), np.empty(slope.shape[:2])
     has_spine = {"trunk_flexion", "pelvis_tilt"} <= set(names)
@@ -142,7 +148,8 @@ def _slopes(body: Body, states: Array) -> Array:
 def _observed(
     names: tuple[str, ...], values: Array, observed: NDArray[np.bool_], settings: AngleSettings
 ) -> NDArray[np.bool_]:
-    """Whether the landmarks of an angle were observed; a turn about a limb's length needs a bend that shows it."""
+    """Whether the landmarks of an angle were observed; a turn about a limb's length needs a bend that shows it, and
+    what nothing shows never is."""
     seen: dict[str, NDArray[np.bool_]] = {}
     landmarks = landmark_names(observed.shape[1])
     everything = [*_SHOWN_BY, *(f"{side}_{s}" for side in ("left", "right") for s in _SHOWN_BY)]
@@ -152,7 +159,7 @@ def _observed(
         seen.update(dict.fromkeys(joint.names, np.asarray(observed[:, rows].all(axis=1))))
     out = np.ones(values.shape, dtype=np.bool_)
     for i, name in enumerate(names):
-        out[:, i] = seen[name]
+        out[:, i] = seen[name] & (_kind(name) not in _INFERRED)
         bend = f"{name.partition('_')[0]}_{_SHOWN_BY_BEND.get(_kind(name))}"
         if bend in names:
             out[:, i] &= values[:, names.index(bend)] > np.deg2rad(settings.bend_deg)

@@ -487,7 +487,7 @@ class AngleSettings(_Strict):
     of_others: tuple[float, float] = (5.0, 1.0)
     """The same of an angle that is not listed."""
     weak_std_rad: float = 0.7
-    """What is known of a joint without landmarks."""
+    """What is known of a joint without landmarks, where the body does not know better (`usual_std`)."""
     spine_share: float = 1.0
     """What the lumbar spine takes of a bend of the trunk, as a share of what the pelvis takes: equal parts over a whole
     bend (Esola et al. 1996)."""

@@ -47,6 +47,9 @@ _PAIRED = {
     "wrist_flexion": "wrist_flex",
     "wrist_deviation": "wrist_dev",
 }
+# What the thoracic spine takes of a bend of the trunk: 20 of 80 degrees (AAOS for both, AMA Guides for the lumbar one).
+# One joint so far up from the lumbar to the thoracic one moves the thorax as both do.
+_UPPER_SHARE = 0.25
 # Segment -> body of the models, and its share of the mass (Winter, after Dempster).
 _BODIES = {
     "pelvis": ("pelvis", 0.142),
@@ -99,19 +102,23 @@ def opensim_bodies(body: Body, markers: Mapping[str, str]) -> list[OpenSimBody]:
     """The body as a model of OpenSim, in metres; its coordinates are those of `opensim_coordinates`.
 
     markers : landmark -> name, those that the model carries. The shoulder girdle, which the models do not have, is at
-    rest: shoulders are where they are in the rest pose.
+    rest: shoulders are where they are in the rest pose. A spine of two joints is one joint between them.
     """
     at, standing = segment_joints(body.joints), standing_rotations(body.joints, body.offset)
     places = np.zeros((len(body.joints), 3))  # of the joints at rest, where all frames are parallel
     for j, parent in enumerate(body.parent):
         places[j] = body.offset[j] + (places[parent] if parent >= 0 else 0.0)
+    origins = {segment: places[joint] for segment, joint in at.items()}
+    if "lumbar" in at:
+        lower, upper = origins.pop("lumbar"), origins["thorax"]
+        origins["thorax"] = lower + _UPPER_SHARE * (upper - lower)
 
     def inside(segment: str, place: Array) -> Array:
-        return np.asarray(ISB_FROM_OURS @ standing[segment] @ (place - places[at[segment]]))
+        return np.asarray(ISB_FROM_OURS @ standing[segment] @ (place - origins[segment]))
 
-    carried = _carried(body, at)
+    carried = _carried(body, {segment: at[segment] for segment in origins})
     movable, out = set(body_angles(body)), {}
-    for joint in joints_of(tuple(at)):
+    for joint in joints_of(tuple(origins)):
         if joint.distal in out:
             continue  # the second sequence of the shoulder
         own = {
@@ -120,7 +127,7 @@ def opensim_bodies(body: Body, markers: Mapping[str, str]) -> list[OpenSimBody]:
             if carried[m] == joint.distal and name in markers
         }
         name, share = _body_of(joint.distal)
-        start = places[at[joint.distal]]
+        start = origins[joint.distal]
         out[joint.distal] = OpenSimBody(
             name=name,
             parent="ground" if joint.proximal is None else _body_of(joint.proximal)[0],

@@ -16,12 +16,13 @@ from mocap.body import (
     head_top,
     height_from_tops,
     is_upright,
+    joint_transforms,
     landmarks_of,
     lowest_of,
 )
 from mocap.body.initial import HeightEstimate
 from mocap.body.stretch import resize_body
-from mocap.data import VoxelGrid
+from mocap.data import LANDMARKS, VoxelGrid
 from mocap.data.problem import ResidualProblem, limbs_of
 from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.scout import Bonus
@@ -417,8 +418,8 @@ class VolumeEvidence:
         return self.tools.settings.posture_nats * (departure - self.posture.departure(particles))
 
     def fit(self, state: Array, kept_parts: NDArray[np.bool_] | None = None) -> FrameFit:
-        """How a state (D,) fits; a landmark is observed when the part at its joint lies in occupied voxels, the filter
-        has not lost it and enough cameras can judge it."""
+        """How a state (D,) fits; a landmark is observed when the part at its joint lies in occupied voxels, and of a
+        foot or a hand its own flesh, the filter has not lost it and enough cameras can judge it."""
         body = self.tools.body
         layout = body.layout
         per_part = self.voxels.log_likelihood(state[None])[0]
@@ -434,7 +435,8 @@ class VolumeEvidence:
         occupancy = scores.occupied[0]
         unseen_std = self._unseen_std(state)
         judged = self._judged(state) & ~self._shared_legs(scores) & (unseen_std == 0.0)
-        observed = judged & (occupancy[parts] >= self.tools.settings.method.evidence.observed_occupancy)
+        least = self.tools.settings.method.evidence.observed_occupancy
+        observed = judged & (occupancy[parts] >= least) & (self._own_occupancy(state) >= least)
         return FrameFit(
             information=information,
             misfit=np.maximum(-shared, 0.0),
@@ -444,6 +446,22 @@ class VolumeEvidence:
             judged=judged,
             unseen_std=unseen_std,
         )
+
+    def _own_occupancy(self, state: Array) -> Array:
+        """Share of the flesh on the joint of every landmark of feet and hands that lies in the hull, (M,); 1 of others.
+
+        A foot is a piece of its shank, which may be seen without it.
+        """
+        body, table, grid = self.tools.body, self.tools.table, self.tools.grid
+        share = np.ones(len(body.landmarks))
+        R, t = joint_transforms(body, state[None])
+        for m in range(len(LANDMARKS), len(share)):
+            own = np.flatnonzero(table.joint == body.landmark_joint[m])
+            if len(own):
+                points = np.concatenate([table.points[table.start[s] : table.start[s + 1]] for s in own])
+                places = points @ R[0, body.landmark_joint[m]].T + t[0, body.landmark_joint[m]]
+                share[m] = np.isin(grid.voxels_of(places), self.hull.hull.voxels).mean()
+        return share
 
     def _judged(self, state: Array) -> NDArray[np.bool_]:
         """Whether enough cameras can judge each landmark of a state (D,), (M,)."""

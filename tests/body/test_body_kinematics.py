@@ -17,7 +17,7 @@ from mocap.body import (
     skeleton_of,
 )
 from mocap.body._kernels import forward_kinematics, transforms_kernel
-from mocap.body.kinematics import cones_of_particles, transforms_by_exponentials
+from mocap.body.kinematics import cones_of_particles, point_jacobian, transforms_by_exponentials
 from mocap.data import LANDMARKS
 from mocap.geometry.rigid import matrix_from_twist
 
@@ -65,8 +65,19 @@ def test_rotations_of_a_joint_are_applied_in_the_order_of_the_file() -> None:
     np.testing.assert_allclose(R[0, body.joints.index("left_shoulder")], expected, atol=1e-12)
 
 
-def test_python_twin_of_the_kernels() -> None:
-    body = BODIES["thesis"]
+@pytest.mark.parametrize("name", BODIES)
+def test_derivatives_of_points_are_differences(name: str) -> None:
+    body, step = BODIES[name], 1e-6
+    state = random_states(body, 1, seed=3)[0]
+    _, derivatives, _ = point_jacobian(body, state, body.landmark_joint, body.landmark_offset)
+    steps = step * np.eye(len(state))
+    difference = (landmarks_of(body, state + steps) - landmarks_of(body, state - steps)) / (2 * step)
+    np.testing.assert_allclose(derivatives, np.moveaxis(difference, 0, -1), atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["thesis", "whole"])
+def test_python_twin_of_the_kernels(name: str) -> None:
+    body = BODIES[name]
     states = random_states(body, 3, seed=8)
     R, t = joint_transforms(body, states)
     R_py, t_py = np.empty_like(R), np.empty_like(t)

@@ -71,9 +71,12 @@ def test_joint_limits_are_table_6_1(name: str) -> None:
     """Our bodies give both shoulder twists the union of the printed ranges (they cannot both be right); two have a
     shoulder girdle besides, one of them feet and hands that move, and arms that cannot be turned backwards."""
     layout = body(name).layout
-    joints = {"girdle": ("clavicle",), "whole": ("clavicle", "ankle", "wrist", "mtp")}.get(name, ())
+    joints = {
+        "girdle": ("clavicle",),
+        "whole": ("clavicle", "ankle", "wrist", "mtp", "forearm", "thorax"),
+    }.get(name, ())
     more = {n for n in layout.names if any(joint in n for joint in joints)}
-    assert len(more) == {"girdle": 4, "whole": 14}.get(name, 0)
+    assert len(more) == {"girdle": 4, "whole": 19}.get(name, 0)
     assert layout.n_columns == 27 + len(more)
     assert set(layout.names[6:]) == set(TABLE_6_1_LIMITS) | more
     for column, (low, high) in TABLE_6_1_LIMITS.items():
@@ -90,8 +93,8 @@ def test_joint_limits_are_table_6_1(name: str) -> None:
 def test_fine_columns_are_those_of_feet_and_hands(name: str) -> None:
     b = body(name)
     fine = {column for column, is_fine in zip(b.layout.names, b.is_fine, strict=True) if is_fine}
-    assert fine == {c for c in b.layout.names if any(j in c for j in ("ankle", "mtp", "wrist"))}
-    assert len(fine) == (10 if name == "whole" else 0)
+    assert fine == {c for c in b.layout.names if any(j in c for j in ("ankle", "mtp", "wrist", "forearm"))}
+    assert len(fine) == (12 if name == "whole" else 0)
 
 
 def test_lengths_of_the_thesis_body_are_table_6_1() -> None:

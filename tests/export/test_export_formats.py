@@ -434,6 +434,21 @@ def test_bones_are_called_as_in_other_rigs(tmp_path):
         assert f"JOINT {left_arm}" in (tmp_path / "a.bvh").read_text()
 
 
+def test_hands_turn_as_they_did_in_a_rig_whose_forearms_do_not_pronate():
+    body = scale_body(load_body_model("whole"), 1.75)
+    state = neutral_state(body)
+    for name, angle in (("left_elbow_z", -0.7), ("left_forearm_y", 0.6), ("left_wrist_x", -0.5)):
+        state[body.layout.names.index(name)] = angle
+    own = skeleton_of(body, state[None], 1)
+    other = renamed(own, "mixamo")
+    forearm, wrist = own.names.index("left_forearm"), own.names.index("left_wrist")
+    assert other.rotations[:, forearm] == pytest.approx(np.eye(3)[None], abs=1e-12)
+    assert other.global_positions() == pytest.approx(own.global_positions(), abs=1e-9)
+    turn = own.rotations[0, forearm] @ own.rotations[0, wrist]
+    assert other.rotations[0, wrist] == pytest.approx(turn, abs=1e-12)
+    assert not np.allclose(own.rotations[0, wrist], turn, atol=0.1)
+
+
 BLENDER = """
 import bpy, json, sys
 path, kind = sys.argv[1:]

@@ -44,6 +44,9 @@ MOVEMENTS = [
     ("spine", "y", 0.4, "trunk_flexion", 0.4),  # forwards
     ("spine", "x", 0.2, "trunk_bending", 0.2),  # to the right
     ("spine", "z", 0.2, "trunk_rotation", 0.2),  # to the left
+    ("chest", "y", 0.4, "trunk_flexion", 0.4),
+    ("chest", "x", 0.2, "trunk_bending", 0.2),
+    ("chest", "z", 0.2, "trunk_rotation", 0.2),
     ("head", "y", 0.3, "neck_flexion", 0.3),
     ("neck", "x", -0.3, "neck_bending", -0.3),
     ("neck", "z", -0.5, "neck_rotation", -0.5),
@@ -80,7 +83,10 @@ def angles_of_figure(**turns):
 def test_one_movement_is_one_angle(joint, axis, turn, angle, value):
     angles = angles_of_figure(**{joint: Rotation.from_euler(axis, turn)})
     assert angles[angle] == pytest.approx(value, abs=EXACT)
-    others = {n: v for n, v in angles.items() if n != angle and not _is_second_sequence(n)}
+    # The trunk bends where its upper or its lower spine does.
+    half = angle.replace("trunk", {"spine": "lumbar", "chest": "thoracic"}.get(joint, ""))
+    assert (angles[half] if joint in ("spine", "chest") else value) == pytest.approx(value, abs=EXACT)
+    others = {n: v for n, v in angles.items() if n not in (angle, half) and not _is_second_sequence(n)}
     assert others == pytest.approx(dict.fromkeys(others, 0.0), abs=EXACT)
 
 
@@ -122,7 +128,8 @@ def test_the_mirror_image_has_the_same_angles_on_the_other_side(hip, shoulder, t
     )
     for name, value in one.items():
         twin = name.replace("left_", "x_").replace("right_", "left_").replace("x_", "right_")
-        sign = -1.0 if name in ("trunk_bending", "trunk_rotation") else 1.0
+        is_of_spine = name.partition("_")[0] in ("trunk", "lumbar", "thoracic")
+        sign = -1.0 if is_of_spine and not name.endswith("flexion") else 1.0
         assert np.cos(other[twin] - sign * value) == pytest.approx(1.0, abs=1e-6), name
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from marker_world import marching
 
-from mocap.body import joint_transforms, landmarks_of, load_body_model, neutral_state, scale_body
+from mocap.body import Body, joint_transforms, landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.initial import HeightEstimate
 from mocap.body.kinematics import point_jacobian
 from mocap.data import LANDMARKS
@@ -22,15 +22,17 @@ FPS = 30.0
 BARE = AngleSettings(of_angle={}, of_others=(0.0, 1.0), spine_std_deg=1e6)  # what the landmarks say alone
 
 
-def poses_of(states: np.ndarray, std_m: float = 0.01, observed: np.ndarray | None = None) -> PersonPoses:
-    T, L = len(states), len(LANDMARKS)
+def poses_of(
+    states: np.ndarray, std_m: float = 0.01, observed: np.ndarray | None = None, body: Body = BODY
+) -> PersonPoses:
+    T, L = len(states), len(body.landmarks)
     return PersonPoses(
         person=1,
-        body=BODY,
-        height=HeightEstimate(BODY.height_m, True),
+        body=body,
+        height=HeightEstimate(body.height_m, True),
         frames=np.arange(3, 3 + T),
         states=states,
-        landmarks=landmarks_of(BODY, states),
+        landmarks=landmarks_of(body, states),
         landmark_covariance=np.tile(std_m**2 * np.eye(3), (T, L, 1, 1)),
         observed=np.ones((T, L), dtype=bool) if observed is None else observed,
         log_likelihood=np.zeros(T),
@@ -83,6 +85,29 @@ def test_feet_and_hands_have_angles_where_they_move(
     at = body_angles(body).index(angle)
     found = angles_of_states(body, states)[:, at]
     assert found[1] - found[0] == pytest.approx(value, abs=1e-6)
+
+
+def test_what_nothing_shows_is_inferred_and_never_observed() -> None:
+    """Pronation and how the spine shares a bend; the bend itself, and the hand, are observed."""
+    body = scale_body(load_body_model("whole"), 1.75)
+    state = neutral_state(body)
+    for column, angle in (("waist_y", 0.45), ("thorax_y", 0.15), ("left_forearm_y", 0.5)):
+        state[body.layout.names.index(column)] = angle
+    found = angles_of(poses_of(state[None], body=body), FPS, BARE)
+    inferred = {n for n, o in zip(found.names, found.observed[0], strict=True) if not o}
+    spine = {f"{j}_{a}" for j in ("lumbar", "thoracic") for a in ("flexion", "bending", "rotation")}
+    # A straight limb does not show how it is turned either.
+    straight = {n for n in inferred if n.endswith("_rotation")} - spine
+    assert inferred - straight == spine | {"left_elbow_pronation", "right_elbow_pronation"}
+    value = dict(zip(found.names, found.values[0], strict=True))
+    assert value["lumbar_flexion"] == pytest.approx(0.45, abs=1e-9)
+    assert value["thoracic_flexion"] == pytest.approx(0.15, abs=1e-9)
+    assert value["trunk_flexion"] == pytest.approx(0.6, abs=1e-9)
+    assert abs(value["left_elbow_pronation"]) == pytest.approx(0.5, abs=1e-9)
+    # Nothing but what is usual says how a forearm is turned.
+    usual = body.usual_std[body.layout.names.index("left_forearm_y")]
+    std = found.std[0, found.names.index("left_elbow_pronation")]
+    assert std == pytest.approx(usual, rel=0.05)
 
 
 def test_deviations_are_those_of_poses_whose_landmarks_scatter() -> None:

@@ -13,16 +13,17 @@ from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose.limb_search import search_limbs
 from mocap.pose.start import PoseSearch
-from mocap.pose.volume import pack_volume
+from mocap.pose.volume import PersonHull, pack_volume
+from mocap.volume import surface_voxels
 
 HEIGHT_M, VOXEL_M = 1.75, 0.02
 MOVED = [LANDMARKS.index(name) for name in ("left_wrist", "right_ankle")]
-# A hand that hangs bent to the side, further than it could if forearms pronated, and a foot that points down.
+# A hand that hangs bent to the side, further than an anatomical wrist deviates, and a foot that points down.
 BENT = {"left_wrist_z": 0.8, "left_wrist_x": 0.4, "right_ankle_y": 0.5}
 
 
 def test_a_hand_bends_as_far_to_any_side() -> None:
-    """Forearms do not pronate: which of its two angles is flexion is open."""
+    """Nothing shows how a forearm is turned: which of its two angles is flexion is open."""
     body = scale_body(load_body_model("whole"), HEIGHT_M)
     columns = [i for i, name in enumerate(body.layout.names) if "wrist" in name]
     assert len(columns) == 4
@@ -74,7 +75,25 @@ def test_searches_draw_no_feet_and_hands_where_refinements_set_them(*, refine: b
     noises = tools.filter_settings().std, search.std  # type: ignore[attr-defined]
     for noise in noises:
         np.testing.assert_array_equal(noise == 0.0, still)
-    assert still.sum() == (10 if refine else 0)
+    assert still.sum() == (12 if refine else 0)
+
+
+def test_a_foot_that_the_hull_lacks_is_not_observed_though_its_shank_is() -> None:
+    flesh = make_flesh("whole", HEIGHT_M, VOXEL_M)
+    state = neutral_state(flesh.body)
+    tools = make_tools(flesh.grid, 30.0, HEIGHT_M, "whole", PoseConfig(), LikelihoodConfig(), 1)
+    hull = flesh.hull(state)
+    centers = flesh.grid.centers(hull.voxels)
+    landmarks = landmarks_of(flesh.body, state[None])[0]
+    ankle = landmarks[LANDMARKS.index("left_ankle")]
+    is_foot = (centers[:, 2] < ankle[2]) & (centers[:, 1] > 0.0)
+    left = hull.voxels[~is_foot]
+    footless = PersonHull(left, surface_voxels(left, flesh.grid))
+    unseen = [
+        {n for n, o in zip(flesh.body.landmarks, tools.frame(h).fit(state).observed, strict=True) if not o}
+        for h in (hull, footless)
+    ]
+    assert unseen == [set(), {"left_heel", "left_toe"}]
 
 
 def test_the_search_for_limbs_leaves_a_hand_as_it_is(truth: tuple[Flesh, np.ndarray]) -> None:
