@@ -48,6 +48,7 @@ def main() -> None:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
+    from PIL import Image
 
     body = scale_body(load_body_model("whole"), 1.75)
     poses = []
@@ -73,8 +74,10 @@ def main() -> None:
     handles = [plt.Line2D([], [], color=c, lw=2.5) for c in COLOURS]
     labels = ["X, forward", "Y, to the body's upper end", "Z, to the right"]
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=11)
-    figure.savefig(PICTURE, pil_kwargs={"optimize": True})
+    figure.savefig(PICTURE)
     plt.close(figure)
+    with Image.open(PICTURE) as drawn:
+        drawn.convert("RGB").quantize(48).save(PICTURE, optimize=True)  # flat colours: half the size
 
 
 def _draw(ax: Any, body: Body, state: Array, view: tuple[str, tuple[int, float], tuple[int, float]]) -> None:
