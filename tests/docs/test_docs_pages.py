@@ -104,13 +104,18 @@ def test_bodies_have_the_columns_that_the_pages_say() -> None:
         f"{side}_clavicle_{axis}" for side in ("left", "right") for axis in "xz"
     }
     further = {
-        "wrist_x": "elbow_z",
+        "forearm_y": "elbow_z",
+        "wrist_x": "forearm_y",
         "wrist_z": "wrist_x",
         "ankle_y": "knee_y",
         "ankle_x": "ankle_y",
         "mtp_y": "ankle_x",
     }
-    for column in set(columns["whole"]) - set(columns["girdle"]):
+    chest = [f"thorax_{axis}" for axis in "xyz"]
+    first = columns["whole"].index("waist_z") + 1
+    assert list(columns["whole"][first : first + 3]) == chest
+    assert "thorax_x, thorax_y and thorax_z after the waist" in page
+    for column in set(columns["whole"]) - set(columns["girdle"]) - set(chest):
         side, _, name = column.partition("_")
         before = columns["whole"][columns["whole"].index(column) - 1]
         assert f"SIDE_{name}" in page
