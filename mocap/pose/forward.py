@@ -173,18 +173,21 @@ class _Following:
         if known.tools.settings.refine:
             observation = observation.learning()
         self._n, self._xyz, self._seed = 1, np.array([xyz]), seed
-        clip = VolumeClip(person, np.arange(1), self._xyz, observation)
+        self._frames = np.arange(1)
+        clip = VolumeClip(person, self._frames, self._xyz, observation)
         self._policy = OnePose(clip, 0, known.state)
 
     def step(self, seen: Sighting) -> FramePose:
         """The pose of the next frame."""
         self._hull = seen.hull
         if self._n == len(self._xyz):
+            # 2.6 MB an hour: how somebody walks is asked of the track.
             self._xyz = np.concatenate([self._xyz, np.zeros_like(self._xyz)])
+            self._frames = np.arange(len(self._xyz))
         self._xyz[self._n] = seen.xyz
         self._n += 1
-        frames = np.arange(self._n)
-        self._policy.clip = replace(self._policy.clip, frames=frames, xyz=self._xyz[: self._n])
+        clip = replace(self._policy.clip, frames=self._frames[: self._n], xyz=self._xyz[: self._n])
+        self._policy.clip = clip
         return _step(self._policy, self._n - 1, seed=self._seed)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.server
 import itertools
 import json
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -136,6 +137,32 @@ def test_results_are_the_same_every_time(
             assert (p.person, p.height_m) == (q.person, q.height_m)
             if p.pose is not None and q.pose is not None:
                 np.testing.assert_array_equal(p.pose.state, q.pose.state)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(0)  # as long as it was asked to play
+def test_memory_is_flat(session: Session, tmp_path: Path) -> None:
+    """Somebody goes to and fro for two minutes of pictures, or as many as `MOCAP_LIVE_MINUTES` says."""
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        pytest.skip("memory is read from /proc")
+    clip = list(sets_of(session))
+    there_and_back = [*range(len(clip)), *range(len(clip) - 2, 0, -1)]
+    n_frames = round(60 * float(os.environ.get("MOCAP_LIVE_MINUTES", "2")) * session.fps)
+
+    def sets() -> Iterator[PictureSet]:
+        for i in range(n_frames):
+            found = clip[there_and_back[i % len(there_and_back)]]
+            shots = [shot for shot in found.shots if shot is not None]
+            yield PictureSet(tuple(replace(shot, time_s=i / session.fps) for shot in shots))
+
+    used_mb: list[float] = []
+    with engine(session, tmp_path) as live:
+        for result in live.results(sets()):
+            used_mb.append(int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20)
+            assert len(result.persons) == 1
+    settled = used_mb[len(used_mb) // 3 :]
+    assert settled[-1] - settled[0] < 2.0
 
 
 @pytest.mark.slow
