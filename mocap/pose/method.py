@@ -453,27 +453,33 @@ class DeviationSettings(_Strict):
 
 # Standard deviation, degrees, of an anatomical angle whose landmarks are all in place: what bodies differ in; and how
 # much of the deviation that follows from the landmarks' counts: errors of neighbours are alike, and do not turn a
-# segment. Fitted on development scenes by `python -m eval.angles --fit`, and printed there.
+# segment. Fitted on development scenes by `python -m eval.angles --fit`, and printed there. Angles that are inferred are not
+# in it: synthetic people turn no forearm, and share every bend of the spine alike.
 ANGLE_UNCERTAINTY: Mapping[str, tuple[float, float]] = {
-    "pelvis_rotation": (4.5, 0.4),
-    "pelvis_obliquity": (2.0, 0.2),
-    "pelvis_tilt": (3.5, 0.3),
-    "trunk_flexion": (1.5, 0.3),
-    "trunk_bending": (2.0, 0.0),
-    "trunk_rotation": (1.5, 0.3),
-    "neck_flexion": (6.0, 0.5),
-    "neck_bending": (2.5, 0.9),
-    "hip_flexion": (1.0, 0.7),
-    "hip_adduction": (2.5, 0.9),
-    "hip_rotation": (8.5, 0.0),
-    "knee_flexion": (1.5, 0.5),
-    "shoulder_flexion": (4.0, 0.1),
-    "shoulder_adduction": (0.5, 0.8),
-    "shoulder_rotation": (10.0, 0.1),
-    "shoulder_plane": (8.5, 0.6),
-    "shoulder_elevation": (2.0, 0.5),
-    "shoulder_axial_rotation": (5.5, 0.7),
-    "elbow_flexion": (2.5, 0.4),
+    "pelvis_rotation": (0.5, 0.7),
+    "pelvis_obliquity": (0.5, 0.8),
+    "pelvis_tilt": (4.5, 0.4),
+    "trunk_flexion": (1.0, 0.4),
+    "trunk_bending": (2.0, 0.4),
+    "trunk_rotation": (1.5, 0.8),
+    "neck_flexion": (8.5, 0.5),
+    "neck_bending": (2.0, 0.7),
+    "hip_flexion": (3.5, 0.5),
+    "hip_adduction": (2.5, 0.1),
+    "hip_rotation": (4.5, 0.4),
+    "knee_flexion": (2.0, 0.4),
+    "ankle_dorsiflexion": (1.5, 0.7),
+    "ankle_inversion": (6.0, 0.8),
+    "mtp_extension": (2.5, 0.7),
+    "shoulder_flexion": (7.0, 0.1),
+    "shoulder_adduction": (1.5, 1.0),
+    "shoulder_rotation": (5.5, 0.6),
+    "shoulder_plane": (15.0, 1.0),
+    "shoulder_elevation": (5.0, 0.1),
+    "shoulder_axial_rotation": (6.0, 0.6),
+    "elbow_flexion": (1.0, 0.5),
+    "wrist_flexion": (5.0, 0.2),
+    "wrist_deviation": (3.0, 0.0),
 }
 
 
