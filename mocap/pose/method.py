@@ -453,8 +453,8 @@ class DeviationSettings(_Strict):
 
 # Standard deviation, degrees, of an anatomical angle whose landmarks are all in place: what bodies differ in; and how
 # much of the deviation that follows from the landmarks' counts: errors of neighbours are alike, and do not turn a
-# segment. Fitted on development scenes by `python -m eval.angles --fit`, and printed there. Angles that are inferred are not
-# in it: synthetic people turn no forearm, and share every bend of the spine alike.
+# segment. Fitted on development scenes by `python -m eval.angles --fit`, and printed there. What is inferred
+# is not in it: synthetic people turn no forearm, and share every bend of the spine alike.
 ANGLE_UNCERTAINTY: Mapping[str, tuple[float, float]] = {
     "pelvis_rotation": (0.5, 0.7),
     "pelvis_obliquity": (0.5, 0.8),
