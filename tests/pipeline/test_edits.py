@@ -210,7 +210,12 @@ def test_bad_frames_are_bridged_and_grow_uncertain(session: Path, out: Path) -> 
 
 def test_a_body_that_is_turned_has_its_sides_exchanged(session: Path, out: Path) -> None:
     _, one = followed_person(session, out)
-    state, names = one.series.states[4], one.body.landmarks
+    names = one.body.landmarks
+    places = landmarks_of(one.body, one.series.states)
+    striding = np.linalg.norm(
+        places[:, names.index("left_knee")] - places[:, names.index("right_knee")], axis=1
+    )
+    state = one.series.states[np.argmax(striding)]
     for sides, moving in (("body", ("knee", "wrist")), ("legs", ("ankle",)), ("arms", ("wrist",))):
         both = landmarks_of(one.body, np.stack([state, exchanged(one.body, state, sides)]))
         for name in moving:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_session import PLAIN, copy_session, mocap, set_options
-from two_persons import exchange_tracks, two_persons_session
+from two_persons import BODY, exchange_tracks, two_persons_session
 
 from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.stretch import standing_height
@@ -40,12 +40,14 @@ SETTINGS = (
     "pose.look_again=false",
     f"pose.smooth_lag_frames={LAG}",
     "body.height_m=1.68",
+    BODY,
     # Feet are held on the floor by what the whole clip says of their contacts, and pieces are not the whole.
     "method.contact.hold=0",
 )
 CONFIG = load_config("default", SETTINGS)
 # What the filters of the pieces find is as good as that of the whole run, and not the same: with three seeds the whole
-# run differs from itself by 36 to 69 mm (person 1) and 12 to 29 mm (person 2) on this session of small pictures.
+# run differs from itself by 36 to 69 mm (person 1) and 12 to 29 mm (person 2) on this session of small pictures, with
+# a body of feet and hands.
 SAME_AS_ANOTHER_SEED_MM = 69.0
 
 

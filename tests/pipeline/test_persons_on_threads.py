@@ -35,7 +35,7 @@ def test_two_persons_on_two_threads_are_those_of_one(
     )
     hulls_of = pose.hulls_of_person
     monkeypatch.setattr(
-        pose, "hulls_of_person", lambda session, store, person, names: hulls_of(session, store, 1)
+        pose, "hulls_of_person", lambda session, store, person, *more: hulls_of(session, store, 1)
     )
     said: list[int] = []
 
