@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from mocap.pipeline.stages.pose import hulls_of_person
 from mocap.products.hulls import stored_grid
 from mocap.products.keypoints import PRODUCT, keypoint_row, known_points
 from mocap.products.tracks import stored_tracks
+from mocap.volume import ConsistencyMonitor
 from mocap.volume.known_persons import flesh_along
 from mocap.volume.residuals import silhouette
 
@@ -107,3 +109,19 @@ def test_points_that_are_lost_for_a_moment_lie_between_their_neighbours(tmp_path
     assert np.isnan(x[10, 2])
     # In the last frame one camera alone shows the person: how far away is a guess.
     assert found[11].shape == (0, len(KEYPOINTS), 3)
+
+
+@pytest.mark.parametrize("kind", ["voxels", "fused"])
+def test_cameras_are_judged_by_every_frame(
+    kind: str, session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged: list[int] = []
+    add = ConsistencyMonitor.add
+
+    def noted(self: ConsistencyMonitor, frame: int, *seen: Any) -> None:
+        judged.append(frame)
+        add(self, frame, *seen)
+
+    monkeypatch.setattr(ConsistencyMonitor, "add", noted)
+    run(session, tmp_path / "out", kind)
+    assert judged[:N_FRAMES] == list(range(N_FRAMES))

@@ -377,12 +377,13 @@ def _remedy(fault: CameraFault) -> str:
     )
 
 
+_WORK = FrameWork(_reads, _start, _step, _finish, finds=("hull",), then=_then)
 CARVE = Stage(
     name="carve",
     until="carve",
     products=(PRODUCT,),
     # Coloured hulls of every frame. Source: CF 2.2.4.
-    work=FrameWork(_reads, _start, _step, _finish, finds=("hull",), then=_then),
+    work=_WORK,
     report=carve_report,
     needs=("segment", "occluders"),
     # Of the masks, which cameras are never without somebody. Both are there in a run that computes all; a kill may
@@ -394,7 +395,7 @@ CARVE = Stage(
 # Keypoints say where silhouettes lack somebody, and where nobody is.
 FUSED_CARVE = replace(
     CARVE,
-    work=FrameWork(_reads_beside_keypoints, _start, _step, _finish, finds=("hull",)),
+    work=replace(_WORK, reads=_reads_beside_keypoints),
     needs=("segment", "occluders", "keypoints"),
     facts=("fps", "room_bounds_m", "depth"),
 )
