@@ -12,8 +12,8 @@ from mocap.likelihood.colours import PixelRays
 STEP_M = 0.01
 
 
-def painted(flesh: Flesh, state: np.ndarray, *, seed: int, n: int = 900) -> PixelRays:
-    """Rays from four cameras through points of a body in a pose (D,), and the colours there: waves of 15 to 25 cm."""
+def rays_at(flesh: Flesh, state: np.ndarray, *, seed: int, n: int = 900) -> PixelRays:
+    """Rays from four cameras around a body in a pose (D,) through points in and beside its flesh; all are black."""
     rng = np.random.default_rng(seed)
     angle = np.array([0.3, 1.9, 3.4, 5.0])
     origins = np.column_stack([3 * np.cos(angle), 3 * np.sin(angle), np.full(4, 1.2)])
@@ -23,6 +23,13 @@ def painted(flesh: Flesh, state: np.ndarray, *, seed: int, n: int = 900) -> Pixe
     camera = np.sort(np.arange(n) % 4)
     directions = aim - origins[camera]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return PixelRays(origins, camera, directions, np.zeros((n, 3), dtype=np.uint8))
+
+
+def painted(flesh: Flesh, state: np.ndarray, *, seed: int, n: int = 900) -> PixelRays:
+    """Those of `rays_at` that meet the body, and the colours there: waves of 15 to 25 cm."""
+    rays = rays_at(flesh, state, seed=seed, n=n)
+    origins, camera, directions = rays.origins, rays.camera, rays.directions
     cone, place = entries(flesh, state, origins[camera], directions)
     R, t = joint_transforms(flesh.body, state[None])
     joint = flesh.body.cones.joint[cone]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flesh_voxels import Flesh
+from painted_body import rays_at
 
 from mocap.body import cones_of, load_body_model, neutral_state, scale_body
 from mocap.body.flesh import cone_distances
@@ -34,20 +35,6 @@ def standing(coarse_flesh: Flesh) -> np.ndarray:
     return state
 
 
-def rays_at(flesh: Flesh, state: np.ndarray, n: int = 900) -> PixelRays:
-    """Rays from four cameras around a body through points in and beside its flesh."""
-    rng = np.random.default_rng(3)
-    angle = np.array([0.3, 1.9, 3.4, 5.0])
-    origins = np.column_stack([3 * np.cos(angle), 3 * np.sin(angle), np.full(4, 1.2)])
-    start, end = cones_of(flesh.body, state)
-    k = rng.integers(0, len(start), n)
-    aim = start[k] + rng.random((n, 1)) * (end[k] - start[k]) + rng.normal(0.0, 0.03, (n, 3))
-    camera = np.sort(np.arange(n) % 4)
-    directions = aim - origins[camera]
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return PixelRays(origins, camera, directions, np.zeros((n, 3), dtype=np.uint8))
-
-
 def cones_seen(flesh: Flesh, state: np.ndarray, rays: PixelRays) -> np.ndarray:
     """The cone that every ray enters first, -1 for none: found by marching along the rays in steps of 4 mm."""
     start, end = cones_of(flesh.body, state)
@@ -64,7 +51,7 @@ def cones_seen(flesh: Flesh, state: np.ndarray, rays: PixelRays) -> np.ndarray:
 
 def dressed(flesh: Flesh, state: np.ndarray, appearance: Appearance | None = None) -> ColourProblem:
     """What cameras see of the body: skin below the elbow and above the neck, a shirt, trousers."""
-    rays = rays_at(flesh, state)
+    rays = rays_at(flesh, state, seed=3)
     seen = cones_seen(flesh, state, rays)
     rays = rays.taken(seen >= 0)
     parts = flesh.body.layout.parts
@@ -213,7 +200,7 @@ def test_kernels_agree_with_their_python(
 
 def test_rays_see_the_cone_that_they_enter_first(coarse_flesh: Flesh, standing: np.ndarray) -> None:
     """Against marching along the rays; caps and oblique cones are entered a little deeper than computed."""
-    rays = rays_at(coarse_flesh, standing)
+    rays = rays_at(coarse_flesh, standing, seed=3)
     seen = cones_seen(coarse_flesh, standing, rays)
     colours = ColourProblem(coarse_flesh.body, rays, new_appearance(coarse_flesh.body))
     found = colours._seen(rays, standing)
