@@ -453,6 +453,7 @@ class VolumeEvidence:
         A foot is a piece of its shank, which may be seen without it.
         """
         body, table, grid = self.tools.body, self.tools.table, self.tools.grid
+        voxels = self.hull.hull.voxels  # ascending
         share = np.ones(len(body.landmarks))
         R, t = joint_transforms(body, state[None])
         for m in range(len(LANDMARKS), len(share)):
@@ -460,7 +461,9 @@ class VolumeEvidence:
             if len(own):
                 points = np.concatenate([table.points[table.start[s] : table.start[s + 1]] for s in own])
                 places = points @ R[0, body.landmark_joint[m]].T + t[0, body.landmark_joint[m]]
-                share[m] = np.isin(grid.voxels_of(places), self.hull.hull.voxels).mean()
+                at = grid.voxels_of(places)
+                row = np.searchsorted(voxels, at)
+                share[m] = (voxels[np.minimum(row, len(voxels) - 1)] == at).mean()
         return share
 
     def _judged(self, state: Array) -> NDArray[np.bool_]:
