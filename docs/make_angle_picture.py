@@ -93,7 +93,7 @@ def _draw(ax: Any, body: Body, state: Array, view: tuple[str, tuple[int, float],
         ends = flat(marks[[start, end]])
         ax.plot(*ends.T, color=SIDES.get(side, "#555555"), lw=5, alpha=0.35, solid_capstyle="round")
     R, t = joint_transforms(body, state[None])
-    frames = segment_frames(body.joints, body.offset, R)
+    frames = segment_frames(body.joints, body.offset, R, body.standing_pitch)
     for segment, joint in segment_joints(body.joints).items():
         origin = flat(t[0, joint])
         axes = LENGTH_M * (frames[segment][0] @ ISB_FROM_OURS.T).T

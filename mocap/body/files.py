@@ -82,6 +82,8 @@ def _joint_lines(joint: JointSpec) -> list[str]:
     lines.append(f"offset = {_list(joint.offset)}")
     if joint.translation_speed is not None:
         lines.append(f"translation_speed = {_list(joint.translation_speed)}")
+    if joint.standing_pitch:
+        lines.append(f"standing_pitch = {_number(joint.standing_pitch)}")
     if not joint.dofs:
         return lines
     dofs = [

@@ -55,6 +55,9 @@ class JointSpec(_Strict):
     """Fractions of the standing height, in the parent's frame."""
     translation_speed: _Vector | None = None
     """Only at the root: largest expected speed along x, y, z, m/s."""
+    standing_pitch: FiniteFloat = 0.0
+    """How far the frame is pitched forwards (about y) when the person stands upright, rad: anatomical angles count from
+    there."""
     dofs: tuple[DofSpec, ...] = ()
 
 
@@ -122,6 +125,7 @@ class Body:
     layout : columns of the state; 0..2 are the root's position, m; the rest are rad.
     max_speed : (D,) largest expected speed per column, m/s or rad/s.
     usual_std : (D,) how far a column usually is from 0, rad; inf = nothing is known.
+    standing_pitch : (J,) how far a joint's frame is pitched forwards when the person stands upright, rad.
     landmark_joint : (M,), landmark_offset : (M, 3) m in the joint's frame; M is 15, or 21 with feet and hands.
     variance : (P, 4) factors of CF Table 6.2.
     Source: CF Eq. 6.2.
@@ -138,6 +142,7 @@ class Body:
     layout: StateLayout
     max_speed: Array
     usual_std: Array
+    standing_pitch: Array
     landmark_joint: NDArray[np.int64]
     landmark_offset: Array
     cones: Cones
@@ -339,6 +344,7 @@ def scale_body(model: BodyModel, height_m: float) -> Body:
         layout=_layout(model, dofs, _part_of_column(model, dofs, parent, index)),
         max_speed=max_speed,
         usual_std=usual_std,
+        standing_pitch=np.array([j.standing_pitch for j in model.joint]),
         landmark_joint=landmark_joint,
         landmark_offset=landmark_offset * height_m,
         cones=_cones(model, index, height_m),

@@ -131,14 +131,17 @@ def segment_joints(names: Sequence[str]) -> dict[str, int]:
     return found
 
 
-def standing_rotations(names: Sequence[str], offsets: Array) -> dict[str, Array]:
-    """Segment -> rotation (3, 3) that takes the rest pose to standing with hanging arms; the identity but for arms.
+def standing_rotations(names: Sequence[str], offsets: Array, pitch: Array | None = None) -> dict[str, Array]:
+    """Segment -> rotation (3, 3) that takes the rest pose to standing upright with hanging arms.
 
     offsets : (J, 3) m, every joint in its parent's frame at rest. An arm that rests along +-y hangs after a quarter
-    turn.
+    turn.  pitch : (J,) rad, how far frames of the other joints lean forwards then; None = as at rest.
     """
     at = segment_joints(names)
-    out = {segment: np.eye(3) for segment in at}
+    out = {
+        segment: np.eye(3) if pitch is None else Rotation.from_euler("y", pitch[joint]).as_matrix()
+        for segment, joint in at.items()
+    }
     for side in _SIDES:
         elbow = at.get(f"{side}_forearm")
         if elbow is None:
@@ -159,12 +162,15 @@ def world_rotations(parents: NDArray[np.int64], local: Array) -> Array:
     return world
 
 
-def segment_frames(names: Sequence[str], offsets: Array, rotations: Array) -> dict[str, Array]:
+def segment_frames(
+    names: Sequence[str], offsets: Array, rotations: Array, pitch: Array | None = None
+) -> dict[str, Array]:
     """Segment -> orientation of its frame, (T, 3, 3), world, of every segment that the skeleton has.
 
     names : J joints.  offsets : (J, 3) m in the parent's frame at rest.  rotations : (T, J, 3, 3) of the joints, world.
+    pitch : as in `standing_rotations`.
     """
-    standing = standing_rotations(names, offsets)
+    standing = standing_rotations(names, offsets, pitch)
     return {
         segment: rotations[:, joint] @ standing[segment].T for segment, joint in segment_joints(names).items()
     }

@@ -54,7 +54,7 @@ def body_angles(body: Body) -> tuple[str, ...]:
 def angles_of_states(body: Body, states: Array) -> Array:
     """Anatomical angles of states (T, D): (T, A) rad, in the order of `body_angles`."""
     R, _ = joint_transforms(body, states)
-    found = anatomical_angles(segment_frames(body.joints, body.offset, R))
+    found = anatomical_angles(segment_frames(body.joints, body.offset, R, body.standing_pitch))
     names = body_angles(body)
     return np.stack([found[name] for name in names], axis=1) if names else np.zeros((len(states), 0))
 

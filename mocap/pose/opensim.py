@@ -104,7 +104,10 @@ def opensim_bodies(body: Body, markers: Mapping[str, str]) -> list[OpenSimBody]:
     markers : landmark -> name, those that the model carries. The shoulder girdle, which the models do not have, is at
     rest: shoulders are where they are in the rest pose. A spine of two joints is one joint between them.
     """
-    at, standing = segment_joints(body.joints), standing_rotations(body.joints, body.offset)
+    at, standing = (
+        segment_joints(body.joints),
+        standing_rotations(body.joints, body.offset, body.standing_pitch),
+    )
     places = np.zeros((len(body.joints), 3))  # of the joints at rest, where all frames are parallel
     for j, parent in enumerate(body.parent):
         places[j] = body.offset[j] + (places[parent] if parent >= 0 else 0.0)
