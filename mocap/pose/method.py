@@ -55,7 +55,10 @@ class EvidenceSettings(_Strict):
     coarse_flesh_points: int = 150
     """Points of the body in the brief attempts of a start."""
     observed_occupancy: float = 0.5
-    """Share of a part's flesh in occupied voxels from which its landmarks count as observed."""
+    """Share of a part's flesh in occupied voxels from which its landmarks count as observed, and of the flesh of
+    each."""
+    observed_near: float = 0.05
+    """How far around a landmark its flesh reaches, of the height: an ankle's is the end of the shank."""
     min_judges: int = 2
     """Cameras that must have a landmark in their picture, with nothing known to stand before it: one tells no depth."""
     colour_max_double: float = 0.15

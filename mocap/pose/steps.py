@@ -87,8 +87,8 @@ def _why_not(poses: PersonPoses, settings: ContactSettings) -> str:
         share = float(poses.observed[:, columns].all(axis=1).mean())
         if share < settings.least_observed:
             return (
-                f"the {side} foot was observed in {100 * share:.0f} % of the frames only (hidden, or cut off by the "
-                "pictures); its contacts would be guessed"
+                f"the {side} foot was observed in {100 * share:.0f} % of the frames only (hidden, cut off by the "
+                "pictures, or of the colour of the background); its contacts would be guessed"
             )
     low = float(np.quantile(poses.landmarks[:, list(SOLE_POINTS), 2].min(axis=1), settings.low_quantile))
     if abs(low) > settings.most_level_m:

@@ -77,8 +77,9 @@ class PersonHull:
     outlines : makes the person's outlines in the cameras, or None where there are no masks.
     rays : makes the rays through the person's pixels, or None where there are no pictures.
     unknown : (U,) int32 ascending, voxels around the person that too few cameras can judge.  n_judges : how many
-    cameras can judge points (N, 3) m, (N,), or None when nothing is known to hide people.  measured : (N, 3) m, where
-    depth maps have measured the surface of each voxel, NaN = nowhere; None without depth maps.
+    cameras can judge points (N, 3) m, (N,), or None when nothing is known of cameras.  is_among_things : something is
+    known to hide people.  measured : (N, 3) m, where depth maps have measured the surface of each voxel, NaN = nowhere;
+    None without depth maps.
     """
 
     voxels: NDArray[np.int32]
@@ -87,6 +88,7 @@ class PersonHull:
     rays: Callable[[], PixelRays] | None = None
     unknown: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     n_judges: Callable[[Array], NDArray[np.int64]] | None = None
+    is_among_things: bool = False
     measured: NDArray[np.float32] | None = None
 
 
@@ -147,6 +149,27 @@ class VolumeTools(PersonTools):
         """(D,) how far a refinement may be expected to move, m and rad: its weak prior."""
         numbers = self.settings.method.evidence
         return np.where(self.body.is_position, numbers.refine_std_m, numbers.refine_std_rad)
+
+    @cached_property
+    def flesh_of_landmarks(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Landmarks (K,) and points of the table (K,) that are their flesh.
+
+        It is what lies around them in the rest pose, where limbs are apart. A foot's and a hand's is all that is on
+        their joint, since their landmarks lie on the skin, and theirs alone: an ankle shows without the foot.
+        """
+        body, table = self.body, self.table
+        rest = np.zeros((1, body.layout.n_columns))
+        R, t = joint_transforms(body, rest)
+        joint = np.repeat(table.joint, np.diff(table.start))
+        flesh = np.einsum("nij,nj->ni", R[0, joint], table.points) + t[0, joint]
+        marks = landmarks_of(body, rest)[0]
+        near = max(self.settings.method.evidence.observed_near * body.height_m, table.spacing_m)
+        is_own = np.linalg.norm(marks[:, None] - flesh, axis=2) < near
+        is_further = np.arange(len(marks)) >= len(LANDMARKS)
+        is_own[is_further] = joint == body.landmark_joint[is_further, None]
+        is_own[~is_further] &= ~is_own[is_further].any(axis=0)
+        landmark, point = np.nonzero(is_own)
+        return landmark, point
 
     def refining(self, n_iterations: int | None = None) -> RefineSettings:
         """How poses are refined.  n_iterations : None = as many as usual."""
@@ -418,8 +441,8 @@ class VolumeEvidence:
         return self.tools.settings.posture_nats * (departure - self.posture.departure(particles))
 
     def fit(self, state: Array, kept_parts: NDArray[np.bool_] | None = None) -> FrameFit:
-        """How a state (D,) fits; a landmark is observed when the part at its joint lies in occupied voxels, and of a
-        foot or a hand its own flesh, the filter has not lost it and enough cameras can judge it."""
+        """How a state (D,) fits; a landmark is observed when the part at its joint lies in occupied voxels, and its
+        own flesh, the filter has not lost it and enough cameras can judge it."""
         body = self.tools.body
         layout = body.layout
         per_part = self.voxels.log_likelihood(state[None])[0]
@@ -436,7 +459,7 @@ class VolumeEvidence:
         unseen_std = self._unseen_std(state)
         judged = self._judged(state) & ~self._shared_legs(scores) & (unseen_std == 0.0)
         least = self.tools.settings.method.evidence.observed_occupancy
-        observed = judged & (occupancy[parts] >= least) & (self._own_occupancy(state) >= least)
+        observed = judged & (occupancy[parts] >= least) & (self._occupancy_of_landmarks(state) >= least)
         return FrameFit(
             information=information,
             misfit=np.maximum(-shared, 0.0),
@@ -447,24 +470,20 @@ class VolumeEvidence:
             unseen_std=unseen_std,
         )
 
-    def _own_occupancy(self, state: Array) -> Array:
-        """Share of the flesh on the joint of every landmark of feet and hands that lies in the hull, (M,); 1 of others.
+    def _occupancy_of_landmarks(self, state: Array) -> Array:
+        """Share of the flesh of every landmark that lies in the hull, (M,); 1 where the body has none.
 
-        A foot is a piece of its shank, which may be seen without it.
+        A part may be seen without its end: an ankle is the end of a shank, and a foot a piece of it.
         """
-        body, table, grid = self.tools.body, self.tools.table, self.tools.grid
-        voxels = self.hull.hull.voxels  # ascending
-        share = np.ones(len(body.landmarks))
-        R, t = joint_transforms(body, state[None])
-        for m in range(len(LANDMARKS), len(share)):
-            own = np.flatnonzero(table.joint == body.landmark_joint[m])
-            if len(own):
-                points = np.concatenate([table.points[table.start[s] : table.start[s + 1]] for s in own])
-                places = points @ R[0, body.landmark_joint[m]].T + t[0, body.landmark_joint[m]]
-                at = grid.voxels_of(places)
-                row = np.searchsorted(voxels, at)
-                share[m] = (voxels[np.minimum(row, len(voxels) - 1)] == at).mean()
-        return share
+        table, (landmark, point) = self.tools.table, self.tools.flesh_of_landmarks
+        R, t = joint_transforms(self.tools.body, state[None])
+        joint = np.repeat(table.joint, np.diff(table.start))[point]
+        places = np.einsum("nij,nj->ni", R[0, joint], table.points[point]) + t[0, joint]
+        at, voxels = self.tools.grid.voxels_of(places), self.hull.hull.voxels  # ascending
+        is_in = voxels[np.minimum(np.searchsorted(voxels, at), len(voxels) - 1)] == at
+        n = np.bincount(landmark, minlength=len(self.tools.body.landmarks))
+        found = np.bincount(landmark, weights=is_in, minlength=len(n))
+        return np.where(n > 0, found / np.maximum(n, 1), 1.0)
 
     def _judged(self, state: Array) -> NDArray[np.bool_]:
         """Whether enough cameras can judge each landmark of a state (D,), (M,)."""
@@ -492,7 +511,7 @@ class VolumeEvidence:
         it."""
         body = self.tools.body
         is_shared = np.zeros(len(body.landmarks), dtype=np.bool_)
-        legs = None if self.hull.hull.n_judges is None else legs_of(body)
+        legs = legs_of(body) if self.hull.hull.is_among_things else None
         if legs is not None:
             own = np.concatenate([leg.landmarks for leg in legs])
             share = self.tools.settings.method.evidence.shared_leg

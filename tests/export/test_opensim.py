@@ -17,6 +17,7 @@ from mocap.data import ALL_LANDMARKS, LANDMARKS, Motion, landmark_names
 from mocap.errors import MocapError
 from mocap.io.formats import MARKER_NAMES, marker_names, read_poses, write_trc
 from mocap.io.formats.trc import without_gaps
+from mocap.metrics.anatomy import ISB_FROM_OURS, standing_rotations
 from mocap.pipeline.outputs import MotionStyle, write_opensim
 from mocap.pose.method import AngleSettings
 from mocap.pose.opensim import coordinates_of_states, opensim_bodies
@@ -111,13 +112,16 @@ STYLE = MotionStyle(marker_names="halpe26", angles=AngleSettings(spine_std_deg=1
 
 @pytest.mark.parametrize("preset", ["girdle", "whole"])
 def test_the_model_stands_as_the_body_does(preset):
-    """Joints and markers, chained from the pelvis outwards, are the body's with hanging arms."""
+    """Joints and markers, chained from the pelvis outwards, are the body's with hanging arms and the thorax at rest."""
     body_of_preset = scale_body(load_body_model(preset), 1.75)
     landmarks = landmark_names(len(body_of_preset.landmark_joint))
     bodies = {b.name: b for b in opensim_bodies(body_of_preset, marker_names(landmarks, "mocap"))}
+    standing = standing_rotations(body_of_preset.joints, body_of_preset.offset, body_of_preset.standing_pitch)
+    thorax = ISB_FROM_OURS @ standing["thorax"].T @ ISB_FROM_OURS.T
+    turned = {name: thorax if name == "torso" else np.eye(3) for name in ("ground", *bodies)}
     places = {"ground": np.zeros(3)}
     for body in bodies.values():
-        places[body.name] = places[body.parent] + body.location
+        places[body.name] = places[body.parent] + turned[body.parent] @ body.location
     state = np.zeros((1, body_of_preset.layout.n_columns))
     names = body_of_preset.layout.names
     state[0, names.index("right_shoulder_x")] = np.pi / 2
@@ -127,7 +131,7 @@ def test_the_model_stands_as_the_body_does(preset):
     assert sorted(carried) == sorted(landmarks)
     for body in bodies.values():
         for name, inside in body.markers.items():
-            x, y, z = places[body.name] + inside  # forward, up, right
+            x, y, z = places[body.name] + turned[body.name] @ inside  # forward, up, right
             assert (x, -z, y) == pytest.approx(tuple(ours[landmarks.index(name)]), abs=1e-9), name
     assert sum(b.mass_share for b in bodies.values()) <= 1.0
     turning = {c for b in bodies.values() for c, _ in b.rotations if c}

@@ -107,12 +107,27 @@ def test_legs_that_lie_in_each_other_are_not_observed_among_furniture() -> None:
     pose = min((together(turn) for turn in np.linspace(-0.3, 0.3, 61)), key=gap)
     assert gap(pose) < 0.03
     hull = FLESH.hull(pose, margin_m=VOXEL_M)
-    for n_judges, is_seen in ((None, True), (lambda points: np.full(len(points), 5), False)):
-        observed = evidence(replace(hull, n_judges=n_judges)).fit(pose).observed
+    for is_among_things in (False, True):
+        observed = evidence(replace(hull, is_among_things=is_among_things)).fit(pose).observed
+        is_seen = not is_among_things
         assert observed[[left, right]].tolist() == [is_seen, is_seen]
         assert observed[LANDMARKS.index("head")]
-    apart = evidence(replace(FLESH.hull(state(), margin_m=VOXEL_M), n_judges=lambda p: np.full(len(p), 5)))
+    apart = evidence(replace(FLESH.hull(state(), margin_m=VOXEL_M), is_among_things=True))
     assert apart.fit(state()).observed[[left, right]].all()
+
+
+def test_of_somebody_cut_off_below_the_knees_knees_are_observed_and_ankles_are_not() -> None:
+    """Most of a shank may be seen without its end."""
+    whole = FLESH.hull(state(), margin_m=VOXEL_M)
+    places = landmarks_of(FLESH.body, state()[None])[0]
+    ankle, knee = (places[LANDMARKS.index(f"right_{name}"), 2] for name in ("ankle", "knee"))
+    kept = whole.voxels[FLESH.grid.centers(whole.voxels)[:, 2] > ankle + 0.3 * (knee - ankle)]
+    cut = evidence(PersonHull(kept, surface_voxels(kept, FLESH.grid)))
+    shank = FLESH.body.landmark_parts[ANKLE]
+    assert cut.part_scores(state()).occupied[0][shank] > 0.5
+    unseen = {LANDMARKS[m] for m in np.flatnonzero(~cut.fit(state()).observed)}
+    assert unseen == {"left_ankle", "right_ankle"}
+    assert evidence(whole).fit(state()).observed.all()
 
 
 def test_unknown_voxels_are_marked_in_the_crop_and_nowhere_else() -> None:
@@ -173,7 +188,7 @@ def test_hidden_landmarks_are_named_with_their_frames() -> None:
     assert told(series_of(states, observed=seen)) == []
     (warning,) = told(series_of(states, observed=seen, hidden_std=hidden))
     assert warning.startswith(
-        "person 4: right_ankle are hidden from all cameras or all but one in frames 21-22:"
+        "person 4: right_ankle are hidden from all cameras or all but one, or outside their pictures, in frames 21-22:"
     )
     (warning,) = told(series_of(states, observed=seen, hidden_std=hidden, doubtful=hidden > 0))
     assert warning.startswith("person 4: right_ankle may be elsewhere in frames 21-22:")

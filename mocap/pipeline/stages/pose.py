@@ -291,7 +291,8 @@ class PersonViews:
             outlines,
             rays,
             unknown,
-            None if occluders.is_empty else n_judges,
+            n_judges,
+            not occluders.is_empty,
             None if measured is None else measured[keep],
         )
 
