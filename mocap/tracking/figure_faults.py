@@ -43,8 +43,9 @@ class FaultSettings:
     """All orders of so many cameras are tried."""
     epipolar_px: float = 12.0
     """Median distance of keypoints from the epipolar lines of another camera's, from which two do not agree."""
-    lags: int = 15
-    """Frames that a camera may be early or late."""
+    lags: int = 60
+    """Frames that a camera may be early or late, and at most half of the clip: of what is left of it hardly anything
+    would tell."""
     backward_share: float = 0.7
     """Share of the frames in which faces look away from chests, from which left and right are exchanged."""
     bent_m: float = 0.05
@@ -62,10 +63,11 @@ class FaultSettings:
     pair_focal: float = 0.008
     """Distance from epipolar lines, as a share of the focal length, to which an explanation must bring two cameras
     alone: right ones leave 0.005 of it, the best of another clip's keypoints 0.014."""
-    beside_m: float = 0.12
-    """Median distance over the floor of keypoints' trunks from the volumes in the same frame, from which it is looked
-    into: right ones lie 30 to 60 mm off."""
-    elsewhere_m: float = 0.4
+    beside_m: float = 0.01
+    """Distance of keypoints from the silhouettes in the same frame, in the mean over points and cameras, from which it
+    is looked into: right ones lie 1 to 6 mm beside them, or 80 where silhouettes lack half of somebody; those of 12
+    frames before 20 to 30 mm where somebody stands, 100 to 160 where he walks."""
+    elsewhere_m: float = 0.15
     """The same from which keypoints and pictures are not of one recording, whatever the reason."""
     agreed_share: float = 0.6
     """Share of the frames with somebody in two pictures or more, in which at least two cameras must agree on somebody:
@@ -102,6 +104,10 @@ class Clip:
         step = max(1, -(-len(frames) // self.settings.n_frames))
         return frames[::step]
 
+    def clocks(self) -> dict[str, Callable[[int], int]]:
+        """Other clocks that a camera may have."""
+        return _other_clocks(self.settings, len(self.figures))
+
     def of_camera(self, frame: int, camera: int) -> list[View2D]:
         """The figures of one picture."""
         return [f for f in self.figures.get(frame, ()) if f.camera == camera]
@@ -116,7 +122,7 @@ def find_figure_faults(clip: Clip) -> list[FigureFault]:
         found = _of_pair(clip)
     else:
         faults = [_of_camera(clip, camera) for camera in range(len(clip.views.P))]
-        found = _or_all_of_them(clip, [fault for fault in faults if fault is not None])
+        found = _or_of_the_rig(clip, [fault for fault in faults if fault is not None])
     found = found or [*_strangers(clip), *_pictures_of_one_camera(clip)]
     return found + _mirrored(clip) + _pictures(clip)
 
@@ -202,7 +208,7 @@ def _of_camera(clip: Clip, camera: int) -> FigureFault | None:
             "exchange the names in its file; a mirrored picture has them exchanged",
             camera,
         )
-    gaps = {what: _gap_m(clip, camera, seen, at) for what, at in _other_clocks(clip.settings).items()}
+    gaps = {what: _gap_m(clip, camera, seen, at) for what, at in clip.clocks().items()}
     what = min(gaps, key=gaps.__getitem__)
     if gaps[what] <= clip.settings.better * own:
         return FigureFault(
@@ -223,16 +229,19 @@ def _of_camera(clip: Clip, camera: int) -> FigureFault | None:
     )
 
 
-def _or_all_of_them(clip: Clip, found: list[FigureFault]) -> list[FigureFault]:
-    """Faults of single cameras; where more than half agree with nobody, it is no single camera's."""
+def _or_of_the_rig(clip: Clip, found: list[FigureFault]) -> list[FigureFault]:
+    """Faults of single cameras; where the others are no majority, or seldom agree, it is no single camera's."""
     strange = [fault.camera for fault in found if fault.is_unexplained]
-    if 2 * len(strange) <= len(clip.names):
+    if strange and (seldom := _strangers(clip)):
+        return seldom
+    if not strange or 2 * len(strange) < len(clip.names):
         return found
     names = ", ".join(clip.names[c] for c in strange if c is not None)
     return [
         FigureFault(
             f"the keypoints of cameras {names} do not agree with those of the others, {len(strange)} of "
-            f"{len(clip.names)}: keypoints or calibration are of another rig or clip, or the cameras run apart",
+            f"{len(clip.names)}, so that none can be said to be right: keypoints or calibration are of another rig or "
+            "clip, or the cameras run apart",
             "check that keypoints/ and the calibration are of this recording, and run `mocap sync`",
         )
     ]
@@ -247,7 +256,7 @@ def _of_pair(clip: Clip) -> list[FigureFault]:
             clip, lambda frame: frame, is_mirrored=True
         )
     }
-    for what, at in _other_clocks(clip.settings).items():
+    for what, at in clip.clocks().items():
         said = f"the keypoints of camera {second} are {what.replace('the others', first)}"
         tries[said] = _pair_px(clip, at)
     said = min(tries, key=tries.__getitem__)
@@ -294,17 +303,25 @@ def _strangers(clip: Clip) -> list[FigureFault]:
     ]
 
 
-def find_volume_fault(
-    places: Mapping[int, Array], volumes: Mapping[int, Array], settings: FaultSettings
+def find_picture_fault(
+    beside_m: Callable[[int, int], float], frames: Sequence[int], settings: FaultSettings
 ) -> FigureFault | None:
-    """What is wrong with keypoints that agree with each other and not with the volumes in the same pictures.
+    """What is wrong with keypoints that agree with each other and not with the silhouettes in the same pictures.
 
-    places, volumes : frame -> (P, 3) m, the middles of the trunks of persons and of their volumes.
+    beside_m : frame of the pictures, frame of the keypoints -> how far those lie beside the silhouettes, m, NaN where
+    nobody is known.  frames : of the clip.
     """
-    own = _beside_m(places, volumes, lambda frame: frame)
+
+    def median_m(shown_at: Callable[[int], int]) -> float:
+        looked_at = frames[:: max(1, -(-len(frames) // settings.n_frames))]
+        gaps = np.array([beside_m(frame, shown_at(frame)) for frame in looked_at])
+        gaps = gaps[np.isfinite(gaps)]
+        return float(np.median(gaps)) if len(gaps) >= settings.least_frames else float("inf")
+
+    own = median_m(lambda frame: frame)
     if not np.isfinite(own) or own <= settings.beside_m:
         return None
-    gaps = {what: _beside_m(places, volumes, at) for what, at in _other_clocks(settings).items()}
+    gaps = {what: median_m(at) for what, at in _other_clocks(settings, len(frames)).items()}
     what = min(gaps, key=gaps.__getitem__)
     if gaps[what] <= settings.better * own:
         said = what.replace("the others", "the pictures")
@@ -312,28 +329,19 @@ def find_volume_fault(
     if own <= settings.elsewhere_m:
         return None
     return FigureFault(
-        f"the keypoints agree with each other, and lie {1000 * own:.0f} mm from the volumes of the same frames: they "
-        "are of another clip than the pictures, or at another time",
+        f"the keypoints agree with each other, and lie {1000 * own:.0f} mm beside the silhouettes of the same frames: "
+        "they are of another clip than the pictures, or at another time",
         "check that keypoints/ is of this recording, or run without them (--observation voxels)",
     )
 
 
-def _beside_m(
-    places: Mapping[int, Array], volumes: Mapping[int, Array], shown_at: Callable[[int], int]
-) -> float:
-    """Median over frames of the distance over the floor of the person nearest to a volume, m; inf where few tell."""
-    gaps = []
-    for frame, own in volumes.items():
-        persons = places.get(shown_at(frame))
-        if persons is not None and len(persons) and len(own):
-            gaps += np.linalg.norm(own[:, None, :2] - persons[None, :, :2], axis=2).min(axis=1).tolist()
-    return float(np.median(gaps)) if len(gaps) >= FaultSettings.least_frames else float("inf")
-
-
-def _other_clocks(settings: FaultSettings) -> dict[str, Callable[[int], int]]:
-    """What is said of a camera's clock -> frame of the others -> frame of this camera."""
-    lags = [k for k in range(-settings.lags, settings.lags + 1) if k]
-    tries = {f"late by {k} frames" if k > 0 else f"early by {-k} frames": _shift(k) for k in lags}
+def _other_clocks(settings: FaultSettings, n_frames: int) -> dict[str, Callable[[int], int]]:
+    """What is said of a camera's clock -> frame of the others -> frame of this camera.  n_frames : of the clip."""
+    most = max(1, min(settings.lags, n_frames // 2))
+    tries = {}
+    for k in range(1, most + 1):
+        more = " or more" if k == most else ""
+        tries |= {f"late by {k} frames{more}": _shift(k), f"early by {k} frames{more}": _shift(-k)}
     return tries | {f"at {rate:.3g} times the frame rate of the others": _scale(rate) for rate in _RATES}
 
 

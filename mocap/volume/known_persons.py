@@ -31,6 +31,8 @@ _CROSSING = 2  # persons whose silhouettes can cross elsewhere than in one of th
 # silhouettes reach as far beyond the flesh as keypoints err, with hair and clothes.
 _NOBODY_M = 0.15
 _FRINGE_M = 0.15
+# Of distances from silhouettes that tell whether keypoints are of the same moment: whoever is further is elsewhere.
+_FAR_M, _STRIDE_PX = 0.3, 4
 # Radii of flesh around the lines between keypoints; that of limbs reaches back to what is seen, _BESIDE_M and a step.
 _LIMB_M, _TRUNK_M, _HEAD_M = 0.08, 0.14, 0.12
 
@@ -125,6 +127,34 @@ def nobodys(voxels: Voxels, grid: VoxelGrid, rig: CameraRig, points: Array) -> N
         left = left[is_seen]
     out[left] = True
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class BesideSilhouettes:
+    """Distances from the silhouettes of one frame, kept small.  px : (h, w) per camera, of every _STRIDE_PX-th pixel;
+    None = no silhouette, of which nothing is said."""
+
+    rig: CameraRig
+    px: tuple[Array | None, ...]
+
+    @classmethod
+    def of(cls, masks: Sequence[Mask], rig: CameraRig) -> BesideSilhouettes:
+        """masks : (H, W) bool per camera."""
+        small = [mask[::_STRIDE_PX, ::_STRIDE_PX] for mask in masks]
+        return cls(rig, tuple(_STRIDE_PX * _distance_px(m) if m.any() else None for m in small))
+
+    def mean_m(self, points: Array) -> float:
+        """How far points (P, K, 3) m of known persons lie beside them, m, in the mean over points and cameras, each at
+        most _FAR_M; NaN where none is seen."""
+        flat = points.reshape(-1, 3)
+        flat, found = flat[np.isfinite(flat).all(axis=1)], [np.zeros(0)]
+        for camera, px in zip(self.rig, self.px, strict=True):
+            if px is not None:
+                own = Balls.seen(camera, flat, np.zeros(len(flat)))
+                v, u = (own.at[own.is_inside] // _STRIDE_PX).T[::-1]
+                found.append(np.minimum(px[v, u] / own.per_m[own.is_inside], _FAR_M))
+        beside = np.concatenate(found)
+        return float(beside.mean()) if len(beside) else float("nan")
 
 
 @dataclass(frozen=True, eq=False)

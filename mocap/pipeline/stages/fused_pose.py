@@ -7,8 +7,6 @@ from collections.abc import Callable
 from functools import lru_cache
 from threading import Lock
 
-import numpy as np
-
 from mocap.data import Tracks
 from mocap.io.session import Session
 from mocap.io.store import StageStore
@@ -16,19 +14,17 @@ from mocap.likelihood.keypoints import KeypointViews
 from mocap.likelihood.markers import marker_views
 from mocap.pipeline.config import Config
 from mocap.pipeline.edits.meaning import edited_tracks
-from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
+from mocap.pipeline.stage import ClipWork, Job, Stage
 from mocap.pipeline.stages.keypoint_pose import figure_at, keypoint_slack_m, person_views
 from mocap.pipeline.stages.keypoints import figure_views
+from mocap.pipeline.stages.known import known_in_pictures
 from mocap.pipeline.stages.pose import poses_report, solve_poses
 from mocap.pose.fused import FusedObservation, ViewsOf
 from mocap.pose.volume import HullOf, VolumeObservation, VolumeTools
 from mocap.products import followed as followed_product
 from mocap.products import keypoints as keypoints_product
 from mocap.products import poses as poses_product
-from mocap.products.keypoints import known_points
-from mocap.products.tracks import stored_tracks
-from mocap.tracking.figure_faults import FaultSettings, find_volume_fault
-from mocap.tracking.figures import TRUNK, FigureSettings, figures_of_places
+from mocap.tracking.figures import FigureSettings, figures_of_places
 
 
 def fused_pose_stage(job: Job) -> None:
@@ -41,7 +37,7 @@ def fused_pose_stage(job: Job) -> None:
 
     # Figures are shared out among all who are there.
     everybody = hashlib.sha256(tracks.frame.tobytes() + tracks.person.tobytes()).hexdigest()
-    solve_poses(job, both, everybody, known_points(job.store, job.session.fps))
+    solve_poses(job, both, everybody, known_in_pictures(job)[0])
 
 
 def views_of_tracks(
@@ -68,27 +64,12 @@ def views_of_tracks(
     return lambda person: lambda frame: of_frame(frame).get(person)
 
 
-def fused_pose_report(job: Job) -> StageReport:
-    """What the poses say of themselves, and whether keypoints and volumes are of the same recording."""
-    report = poses_report(job)
-    places = {}
-    for frame, arrays in job.store.reader(keypoints_product.PRODUCT):
-        trunks = arrays["points"][:, TRUNK]
-        known = np.isfinite(trunks).all(axis=(1, 2))
-        places[frame] = trunks[known].mean(axis=1)
-    tracks = stored_tracks(job.store, job.session.fps)
-    volumes = {int(frame): tracks.xyz[tracks.frame == frame] for frame in np.unique(tracks.frame)}
-    fault = find_volume_fault(places, volumes, FaultSettings())
-    said = () if fault is None else (f"{fault.message}. Remedy: {fault.remedy}",)
-    return StageReport((*said, *report.warnings), report.numbers)
-
-
 FUSED_POSE = Stage(
     name="pose",
     until="pose",
     products=(followed_product.PRODUCT, poses_product.PRODUCT),
     work=ClipWork(fused_pose_stage),
-    report=fused_pose_report,
+    report=poses_report,
     needs=("track", "keypoints"),
     sections=("body", "likelihood", "pose", "method", "edits"),
     facts=("fps", "person_height_m"),
