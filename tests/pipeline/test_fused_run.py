@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +51,24 @@ def run(session: Path, out: Path, kind: str) -> StageStore:
     config = load_config("default", ("output.formats=[]", f"observation={kind}"))
     run_session(session, out, config=config, until="track")
     return StageStore(next(out.rglob("carve")).parent)
+
+
+def test_keypoints_of_another_clip_are_named_and_leave_the_volume_as_it_is(
+    session: Path, tmp_path: Path
+) -> None:
+    """Somebody half a metre beside the person: half of him is in its silhouettes, which would hold both."""
+    other = tmp_path / "session"
+    away = POINTS + np.array([-0.5, 0.5, 0.0])
+    seen = [
+        [np.column_stack([camera.project(p)[0], np.full(len(p), 0.9)]) for camera in WORLD.rig] for p in away
+    ]
+    write_keypoint_session(replace(WORLD, figures=tuple([[own] for own in frame] for frame in seen)), other)
+    (other / "masks").symlink_to(session / "masks")
+    own, without = (run(other, tmp_path / kind, kind).reader("carve") for kind in ("fused", "voxels"))
+    for (_, a), (_, b) in zip(own, without, strict=True):
+        np.testing.assert_array_equal(a["voxels"], b["voxels"])
+    said = json.loads((tmp_path / "fused" / "run.json").read_text(encoding="utf-8"))
+    assert "are of another clip than the pictures" in json.dumps(said)
 
 
 def test_legs_that_one_camera_does_not_see_are_in_the_volume(session: Path, tmp_path: Path) -> None:

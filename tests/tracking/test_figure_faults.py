@@ -224,6 +224,35 @@ def test_another_rig_is_no_single_cameras_fault() -> None:
     assert "of another rig or clip" in fault.message
 
 
+def test_two_of_four_cameras_that_do_not_agree_are_no_minority() -> None:
+    """The first two agree, the others do not, neither with them nor with each other: none is sure to be right."""
+    world = keypoint_world(N, noise_px=1.5, n_cameras=4)
+    away = {1: (140.0, -60.0), 3: (-120.0, 90.0)}
+    figures = {
+        f: [replace(g, uv=0.7 * g.uv + away[g.camera]) if g.camera in away else g for g in seen]
+        for f, seen in figures_of(world).items()
+    }
+    (fault,) = faults(figures, world)
+    assert fault.camera is None
+    assert "cameras cam_1, cam_3 do not agree with those of the others, 2 of 4" in fault.message
+
+
+def test_one_camera_is_not_blamed_where_the_others_seldom_agree() -> None:
+    """Of three cameras two agree on somebody in a third of the frames."""
+    world = keypoint_world(N, noise_px=1.5, n_cameras=3)
+    away = {1: (150.0, -80.0), 2: (-140.0, 90.0)}
+    figures = {
+        f: [
+            replace(g, uv=g.uv + away[g.camera]) if g.camera == 2 or (g.camera == 1 and f > N // 3) else g
+            for g in seen
+        ]
+        for f, seen in figures_of(world).items()
+    }
+    (fault,) = faults(figures, world)
+    assert fault.camera is None
+    assert "agree on a person in" in fault.message
+
+
 def test_keypoints_of_another_time_than_the_pictures_are_named() -> None:
     """Somebody walks 2 cm further in every frame, and back again after 2 s; silhouettes forgive 1 cm."""
     n = 120

@@ -11,7 +11,7 @@ from mocap.body.markers import marker_positions
 from mocap.data import CameraRig, VoxelGrid
 from mocap.data.keypoints import KEYPOINTS, NOBODY
 from mocap.volume import Carver
-from mocap.volume.known_persons import completed, flesh_along, missing_parts, nobodys
+from mocap.volume.known_persons import BesideSilhouettes, completed, flesh_along, missing_parts, nobodys
 from mocap.volume.residuals import silhouette
 
 THIN_M = 0.1  # side of the cubes that stand for flesh: half of the trunk's balls
@@ -127,3 +127,31 @@ def test_somebody_without_keypoints_beside_two_known_persons_stays(two: Keypoint
     own = np.array([np.linalg.norm(centres - at, axis=1).min() < 0.04 for at in grid.centers(voxels)])
     assert own.sum() > 100
     assert gone[own].mean() < 0.1
+
+
+def test_distance_from_silhouettes_is_that_from_their_edge(two: KeypointWorld) -> None:
+    """The left part of a picture is silhouette; a point to the right of its edge lies beside it, up to 30 cm."""
+    camera = two.rig[0]
+    width, height = camera.size
+    edge = width // 2
+    mask = np.zeros((height, width), dtype=np.bool_)
+    mask[:, :edge] = True
+    empty = np.zeros_like(mask)
+    at_m = 3.0
+    for beside_m, expected in ((-0.2, 0.0), (0.1, 0.1), (0.25, 0.25), (0.6, 0.3)):
+        u = edge + beside_m * camera.K[0, 0] / at_m
+        point = camera.unproject(np.array([[u, height / 2]]), np.array([at_m]))
+        person = np.full((1, len(KEYPOINTS), 3), np.nan)
+        person[0, 3] = point[0]
+        seen = BesideSilhouettes.of([mask, empty, empty], two.rig)
+        grain_m = 4 * at_m / camera.K[0, 0]  # every fourth pixel is looked at
+        assert seen.mean_m(person) == pytest.approx(expected, abs=1.5 * grain_m)
+        assert np.isnan(BesideSilhouettes.of([empty, empty, empty], two.rig).mean_m(person))
+        assert np.isnan(seen.mean_m(NOBODY))
+
+
+def test_keypoints_lie_in_the_silhouettes_of_their_moment(two: KeypointWorld) -> None:
+    points = points_of(two)
+    seen = BesideSilhouettes.of(masks_of(two.rig, points), two.rig)
+    assert seen.mean_m(points) < 0.01
+    assert seen.mean_m(points + np.array([0.3, -0.3, 0.0])) > 0.05
