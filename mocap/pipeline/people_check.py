@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,9 +10,11 @@ from mocap.arrays import Array
 from mocap.errors import MocapError
 from mocap.foreground import Fit
 from mocap.io.session import Session
+from mocap.io.session.reading import depth_of
 from mocap.io.session.record import Finding
 from mocap.pipeline.empty_clips import fits_of, words_of_fits
 from mocap.pipeline.silhouettes import hulls_of
+from mocap.volume.depth_turns import DepthTurn, find_turn
 from mocap.volume.rig_doubts import RigDoubt, doubt_rig
 
 # Enough to see somebody in several places; looking at them takes some seconds.
@@ -36,6 +38,7 @@ def check_people(session: Session) -> list[Finding]:
     except MocapError as error:
         return [Finding("warning", f"people could not be looked at: {error.message}")]
     said = [Finding("warning", words) for words in words_of_fits(fits, session)]
+    said += _depth(session, hulls)
     found = doubt_rig(session.rig, hulls)
     if np.isnan(found.apart_m):
         return said
@@ -48,8 +51,38 @@ def check_people(session: Session) -> list[Finding]:
 
 def hulls_to_check(session: Session, fits: Mapping[str, Fit]) -> list[list[Array]]:
     """Hulls of the silhouettes that are looked at, per camera and frame.  fits : as of `hulls_of`."""
+    return hulls_of(session, _frames_to_check(session), fits)
+
+
+def _frames_to_check(session: Session) -> range:
     frames = session.stretches[0][:_WITHIN]
-    return hulls_of(session, frames[:: max(1, len(frames) // _N_FRAMES)], fits)
+    return frames[:: max(1, len(frames) // _N_FRAMES)]
+
+
+def _depth(session: Session, hulls: Sequence[Sequence[Array]]) -> list[Finding]:
+    """Depth maps that do not lie on the pictures of their camera."""
+    if not session.depth_sources:
+        return []
+    try:
+        with depth_of(session, _frames_to_check(session)) as reader:
+            maps = [own for _, own in reader]
+    except MocapError:
+        return []  # said already
+    out = []
+    for name, own in zip(session.depth_sources, zip(*maps, strict=True), strict=True):
+        found = find_turn(own, hulls[session.rig.names.index(name)])
+        if found is not None and not found.agrees:
+            out.append(_of_turn(name, found))
+    return out
+
+
+def _of_turn(camera: str, found: DepthTurn) -> Finding:
+    text = f"{100 * found.beside_share:.0f} % of what moves in the depth maps lies beside the silhouettes"
+    if found.turn:
+        text = f"depth maps are {found.turn}: {text}, {100 * found.explained_share:.0f} % otherwise"
+        return Finding("error", text, camera, "write the maps as the pictures are")
+    remedy = "check that depth/ is of this camera and clip, frame by frame, and registered onto its pictures"
+    return Finding("warning", text, camera, remedy)
 
 
 def _agreement(found: RigDoubt) -> Finding:

@@ -338,7 +338,7 @@ def find_picture_fault(
 def _other_clocks(settings: FaultSettings, n_frames: int) -> dict[str, Callable[[int], int]]:
     """What is said of a camera's clock -> frame of the others -> frame of this camera.  n_frames : of the clip."""
     most = max(1, min(settings.lags, n_frames // 2))
-    tries = {}
+    tries: dict[str, Callable[[int], int]] = {}
     for k in range(1, most + 1):
         more = " or more" if k == most else ""
         tries |= {f"late by {k} frames{more}": _shift(k), f"early by {k} frames{more}": _shift(-k)}

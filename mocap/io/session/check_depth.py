@@ -26,6 +26,8 @@ _STRIDE_PX = 4
 # Share of the floor's depth by which most readings may miss it: a turn of 1 degree moves the floor 4 m away by 5 %.
 _POOR_SHARE = 0.06
 _FEW_READINGS = 0.2
+_UPSIDE_DOWN = "the depth maps are upside down: the floor lies where it must when they are turned about"
+_TURN_THEM = "write the maps as the pictures are"
 _MOST_LOOKS = 10
 
 
@@ -63,6 +65,12 @@ def floor_ratio(depth_m: NDArray[np.float32], camera: Camera) -> tuple[float, fl
     return float(high), float(high - low)
 
 
+def _fits_upside_down(depth_m: NDArray[np.float32], camera: Camera) -> bool:
+    """Whether the floor lies where it must when the rows of a map are turned about."""
+    found = floor_ratio(depth_m[::-1], camera)
+    return found is not None and abs(found[0] - 1) <= _POOR_SHARE
+
+
 def check_unit(folder: Path, camera: Camera, units: DepthUnits, frame: int) -> None:
     """MocapError when the readings of one map cannot have the unit that is said, because the floor lies elsewhere.
 
@@ -73,6 +81,8 @@ def check_unit(folder: Path, camera: Camera, units: DepthUnits, frame: int) -> N
     found = floor_ratio(depth_m, camera)
     if found is None or 1 / _MOST_APART < found[0] < _MOST_APART:
         return
+    if _fits_upside_down(depth_m, camera):
+        raise MocapError(_UPSIDE_DOWN, path=folder, camera=camera.name, frame=frame, remedy=_TURN_THEM)
     better = min(_USUAL_UNITS_MM, key=lambda unit: abs(np.log(found[0] * unit / units.unit_mm)))
     is_sure = 1 / _MOST_APART < found[0] * better / units.unit_mm < _MOST_APART
     remedy = (
@@ -111,7 +121,9 @@ def depth(session: Session) -> list[Finding]:
             continue
         middle = float(np.median([r for r, _ in ratios]))
         text += f", and the floor at {100 * middle:.1f} % of its distance"
-        if abs(middle - 1) > _POOR_SHARE:
+        if abs(middle - 1) > _POOR_SHARE and all(_fits_upside_down(m, camera) for m in maps):
+            out.append(Finding("error", _UPSIDE_DOWN, name, _TURN_THEM))
+        elif abs(middle - 1) > _POOR_SHARE:
             remedy = "register depth and pictures again, or calibrate the camera again"
             out.append(Finding("warning", text, name, remedy))
         else:
