@@ -148,6 +148,21 @@ def test_check_measures_the_floor(tmp_path: Path) -> None:
     assert [f.severity for f in found] == ["warning"]
 
 
+@pytest.mark.parametrize("wall_m", [4.0, 9.0])
+def test_maps_that_are_upside_down_are_named(tmp_path: Path, wall_m: float) -> None:
+    """Where a far wall stands above the floor another unit would fit as well."""
+    make(tmp_path)
+    for path in sorted((tmp_path / "depth" / "a").iterdir()):
+        depth = np.minimum(floor_depth(RIG["a"]), wall_m)[::-1]
+        cv2.imwrite(str(path), np.rint(1000 * depth).astype(np.uint16))
+    if wall_m > 5.0:
+        with pytest.raises(MocapError, match="upside down"):
+            open_session(tmp_path)
+    else:
+        said = [f for f in check_session(open_session(tmp_path)) if "upside down" in f.message]
+        assert [(f.severity, f.camera) for f in said] == [("error", "a")]
+
+
 def test_pictures_that_were_made_to_look_at_are_refused(tmp_path: Path) -> None:
     root = make(tmp_path / "s")
     write_map(root, 0, np.full(SIZE[::-1], 90, np.uint8))

@@ -8,15 +8,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from keypoint_world import keypoint_world
 from small_session import PLAIN
 
+from mocap.body.markers import marker_positions
+from mocap.io.calibration import write_calibration
 from mocap.io.session import open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.keys import stage_keys
+from mocap.pipeline.people_check import check_people
 from mocap.pipeline.run import run_session
 from mocap.products.hulls import measured_from_arrays
 from mocap.products.occluders import stored_occluders
+from mocap.volume.known_persons import flesh_along
+from mocap.volume.residuals import silhouette
 
 SCENE = {
     "name": "small",
@@ -120,3 +126,37 @@ def test_furniture_that_is_measured_stands_in_the_way(tmp_path: Path) -> None:
     ignored = load_config("default", (*SETTINGS, "volume.occluders=ignore"))
     run_session(session, tmp_path / "b", config=ignored, until="occluders")
     assert stored_occluders(StageStore(tmp_path / "b" / "store.zarr"), rig).is_empty
+
+
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_mirrored_maps_are_found_beside_the_silhouettes(is_mirrored: bool, tmp_path: Path) -> None:
+    """Masks of the second camera of three, whose maps show who marches on the floor, before a wall 6 m away."""
+    world = keypoint_world(30, n_cameras=3)
+    camera = world.rig.cameras[1]
+    write_calibration(tmp_path / "calibration.toml", world.rig)
+    (tmp_path / "session.toml").write_text("fps = 25.0\n\n[depth]\nunit_mm = 1.0\n")
+    for own in world.rig:
+        (tmp_path / "masks" / own.name).mkdir(parents=True)
+    (tmp_path / "depth" / camera.name).mkdir(parents=True)
+    # Beside the middle of the picture, where a mirrored person would be the same.
+    aside = 0.9 * camera.R[0]
+    w, h = camera.size
+    rays = camera.rays(np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).astype(np.float64))
+    with np.errstate(divide="ignore"):
+        floor_m = np.where(rays[..., 2] < 0, -camera.center[2] / rays[..., 2], np.inf) * (rays @ camera.R[2])
+    room = 1000 * np.minimum(floor_m, 6.0)
+    for frame, points in enumerate(marker_positions(world.body, world.markers, world.states[0])):
+        flesh = flesh_along(points + aside)[0]
+        for own in world.rig:
+            mask = silhouette(own, flesh, 0.12)
+            cv2.imwrite(str(tmp_path / "masks" / own.name / f"{frame:06d}.png"), 255 * mask.astype(np.uint8))
+            if own is camera:
+                z = float(np.median(own.project(flesh)[1]))
+                depth = np.where(mask, 1000 * z, room).astype(np.uint16)
+                name = f"{frame:06d}.png"
+                cv2.imwrite(
+                    str(tmp_path / "depth" / own.name / name), depth[:, ::-1] if is_mirrored else depth
+                )
+    said = [f for f in check_people(open_session(tmp_path)) if "depth maps" in f.message]
+    assert [(f.severity, f.camera) for f in said] == [("error", camera.name)] * is_mirrored
+    assert all("mirrored, left for right" in f.message for f in said)
