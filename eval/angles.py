@@ -2,10 +2,10 @@
 
     python -m eval.angles [--only walk,walk_test] [--seeds 1] [--fit] [--work out/eval]
 
-Runs the default preset on whole scenes, masks from the videos, as a user would, and compares the angles of its poses
-with the true orientations of the segments (truth/pose_N.npz), nothing aligned. Writes eval/results/angles.csv and the
-table of docs/angles.md: one row per scene, seed and angle. With --fit it prints the constants `ANGLE_UNCERTAINTY` of
-mocap/pose/method.py, from development scenes alone.
+Runs the default preset on whole scenes, masks from the videos, as a user would (the runs of `eval.feet`), and compares
+the angles of its poses with the true orientations of the segments (truth/pose_N.npz), nothing aligned. Writes
+eval/results/angles.csv and the table of docs/angles.md: one row per scene, seed and angle. With --fit it prints the
+constants `ANGLE_UNCERTAINTY` of mocap/pose/method.py, from development scenes alone.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from eval.feet import run
 from eval.pose_sessions import ROOT
 from eval.whole import write_csv, write_text
 from mocap.compare.angles import AngleError, angle_errors, true_angles
@@ -45,20 +46,6 @@ SHOWN = (
 )
 
 
-def run(name: str, seed: int, work: Path) -> tuple[Path, Path]:
-    """Session and output folder of a run; what is there already is taken."""
-    from mocap.pipeline.config import load_config
-    from mocap.pipeline.run import run_session
-    from mocap.synth import synthesise
-
-    folder, out = work / "sessions" / name, work / "angles" / f"{name}_{seed}"
-    if not folder.exists():
-        synthesise(name, folder, workers=1)
-    if not (out / "angles.csv").exists():
-        run_session(folder, out, config=load_config("default", ("output.formats=[]",)), seed=seed)
-    return folder, out
-
-
 def pairs_of(session: Path, out: Path, settings: AngleSettings) -> Iterator[tuple[AngleSeries, AngleSeries]]:
     """Estimated and true angles of every true person who was found."""
     fps = open_session(session).fps
@@ -75,7 +62,7 @@ def pairs_of(session: Path, out: Path, settings: AngleSettings) -> Iterator[tupl
 def rows_of(name: str, seed: int, work: Path) -> Iterator[dict[str, Any]]:
     """Rows of the table of one run."""
     which = "test" if name in TEST else "development"
-    for estimate, truth in pairs_of(*run(name, seed, work), AngleSettings()):
+    for estimate, truth in pairs_of(*run(name, seed, "whole", work), AngleSettings()):
         for error in angle_errors(estimate, truth):
             numbers = {k: round(v, 3) if isinstance(v, float) else v for k, v in asdict(error).items()}
             yield {"set": which, "session": name, "seed": seed, "person": truth.person, **numbers}
@@ -87,7 +74,7 @@ def fit(runs: list[tuple[str, int]], work: Path) -> dict[str, tuple[float, float
     found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     bare = AngleSettings(of_angle={}, of_others=(0.0, 1.0))
     for name, seed in runs:
-        for estimate, truth in pairs_of(*run(name, seed, work), bare):
+        for estimate, truth in pairs_of(*run(name, seed, "whole", work), bare):
             _, i, j = np.intersect1d(estimate.frames, truth.frames, return_indices=True)
             for a, angle in enumerate(estimate.names):
                 kind = angle.removeprefix("left_").removeprefix("right_")
