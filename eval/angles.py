@@ -36,8 +36,8 @@ from mocap.products.poses import stored_poses
 
 RESULTS = ROOT / "eval" / "results" / "angles.csv"
 PAGE, BEGIN, END = ROOT / "docs" / "angles.md", "<!-- table -->", "<!-- end of table -->"
-DEVELOPMENT = ("walk", "gesture", "jog")
-TEST = ("walk_test", "gesture_test", "jog_test")
+DEVELOPMENT = ("walk", "gesture", "jog", "squat", "jump")
+TEST = ("walk_test", "gesture_test", "jog_test", "squat_test", "jump_test")
 FIELDS = ("set", "session", "seed", "person", *(field.name for field in fields(AngleError)))
 LEVEL, WIDTH = 0.9, 1.6449  # of a region, and its half width in standard deviations
 SHOWN = (
