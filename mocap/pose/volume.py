@@ -151,8 +151,8 @@ class VolumeTools(PersonTools):
         return np.where(self.body.is_position, numbers.refine_std_m, numbers.refine_std_rad)
 
     @cached_property
-    def flesh_of_landmarks(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Landmarks (K,) and points of the table (K,) that are their flesh.
+    def flesh_of_landmarks(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
+        """The flesh of landmarks: whose it is (K,), and its points (K, 3) m in the frame of their joint (K,).
 
         It is what lies around them in the rest pose, where limbs are apart. A foot's and a hand's is all that is on
         their joint, since their landmarks lie on the skin, and theirs alone: an ankle shows without the foot.
@@ -169,7 +169,7 @@ class VolumeTools(PersonTools):
         is_own[is_further] = joint == body.landmark_joint[is_further, None]
         is_own[~is_further] &= ~is_own[is_further].any(axis=0)
         landmark, point = np.nonzero(is_own)
-        return landmark, point
+        return landmark, joint[point], table.points[point]
 
     def refining(self, n_iterations: int | None = None) -> RefineSettings:
         """How poses are refined.  n_iterations : None = as many as usual."""
@@ -475,10 +475,9 @@ class VolumeEvidence:
 
         A part may be seen without its end: an ankle is the end of a shank, and a foot a piece of it.
         """
-        table, (landmark, point) = self.tools.table, self.tools.flesh_of_landmarks
+        landmark, joint, points = self.tools.flesh_of_landmarks
         R, t = joint_transforms(self.tools.body, state[None])
-        joint = np.repeat(table.joint, np.diff(table.start))[point]
-        places = np.einsum("nij,nj->ni", R[0, joint], table.points[point]) + t[0, joint]
+        places = np.einsum("nij,nj->ni", R[0, joint], points) + t[0, joint]
         at, voxels = self.tools.grid.voxels_of(places), self.hull.hull.voxels  # ascending
         is_in = voxels[np.minimum(np.searchsorted(voxels, at), len(voxels) - 1)] == at
         n = np.bincount(landmark, minlength=len(self.tools.body.landmarks))
