@@ -67,7 +67,7 @@ def main() -> None:
     grid = figure.add_gridspec(3, 2, height_ratios=(2, 1, 1.5), width_ratios=(1.5, 1))
     heights, chances = (figure.add_subplot(grid[row, :]) for row in (0, 1))
     floor, cycle = (figure.add_subplot(grid[2, column]) for column in (0, 1))
-    for cycles in cycles_of(Gait(1, contacts, tuple(stances_of(points, contacts))), knees(landmarks)):
+    for cycles in cycles_of(Gait(1, contacts, tuple(stances_of(points, contacts, 0.0))), knees(landmarks)):
         mean, between, _ = np.rad2deg(cycles.mean(f"{cycles.side}_knee_flexion"))
         cycle.plot(PERCENT, mean, color=COLOURS[cycles.side])
         cycle.fill_between(

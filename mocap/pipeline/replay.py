@@ -14,7 +14,7 @@ from mocap.pipeline.scene_frames import room_bounds, shown_frames
 from mocap.pose.cycles import PERCENT, GaitCycles, cycles_of
 from mocap.pose.method import SmoothSettings
 from mocap.pose.result import PersonPoses
-from mocap.pose.steps import Gait
+from mocap.pose.steps import Gait, gait_numbers
 from mocap.view.curves import Chart, Curve, on_every_frame
 from mocap.view.replay import Replay, ReplayPerson
 
@@ -35,6 +35,16 @@ _CHARTS = (
     ("Shoulder elevation", "shoulder_elevation"),
     ("Elbow flexion", "elbow_flexion"),
     ("Wrist flexion", "wrist_flexion"),
+)
+_GAIT = (
+    ("steps", "steps", "{:.0f}"),
+    ("cadence_per_min", "cadence", "{:.0f} per minute"),
+    ("step_length_m", "step length", "{:.2f} m"),
+    ("step_length_asymmetry_percent", "step lengths of the sides differ by", "{:.0f} %"),
+    ("step_width_m", "step width", "{:.2f} m"),
+    ("stance_s", "stance", "{:.2f} s"),
+    ("swing_s", "swing", "{:.2f} s"),
+    ("stance_percent", "share of stance", "{:.0f} %"),
 )
 _MIDDLE_CHARTS = (("Trunk flexion", "trunk_flexion"), ("Pelvis tilt", "pelvis_tilt"))
 
@@ -152,7 +162,7 @@ def _contact_charts(poses: PersonPoses, gait: Gait, fps: float) -> list[Chart]:
     return [on_every_frame(Chart("Foot on the floor", "probability", poses.frames, fps, curves))]
 
 
-def person_summary(poses: PersonPoses, angles: AngleSeries, fps: float) -> str:
+def person_summary(poses: PersonPoses, angles: AngleSeries, gait: Gait, fps: float) -> str:
     """One person in lines of tab-separated text, to be pasted into a table."""
     speed, _ = speeds_m_s(poses, fps)
     steps = np.linalg.norm(np.diff(poses.landmarks[:, 0, :2], axis=0), axis=1)
@@ -169,13 +179,17 @@ def person_summary(poses: PersonPoses, angles: AngleSeries, fps: float) -> str:
         lines.append(f"speed, mean and largest\t{speed[known].mean():.2f} and {speed[known].max():.2f} m/s")
     lines.append(f"top of the head, lowest and highest\t{head.min():.2f} and {head.max():.2f} m")
     lines.append(f"landmarks observed\t{100 * float(poses.observed.mean()):.0f} %")
+    numbers = gait_numbers(gait)
+    lines += [
+        f"{name}\t{words.format(numbers[key])}" for key, name, words in _GAIT if numbers.get(key) is not None
+    ]
     lines.append("angle\tmean\tleast\tgreatest\tstandard deviation\tobserved")
     for a, name in enumerate(angles.names):
         values = np.rad2deg(np.unwrap(angles.values[:, a]))
         std = np.nan if angles.std is None else float(np.rad2deg(angles.std[:, a]).mean())
         seen = 1.0 if angles.observed is None else float(angles.observed[:, a].mean())
         lines.append(
-            f"{name.replace('_', ' ')}\t{values.mean():.0f}\t{values.min():.0f}\t{values.max():.0f}\t{std:.0f}\t"
+            f"{name.replace('_', ' ')}\t{values.mean():z.0f}\t{values.min():z.0f}\t{values.max():z.0f}\t{std:.0f}\t"
             f"{100 * seen:.0f} %"
         )
     return "\n".join(lines)

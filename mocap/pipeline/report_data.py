@@ -94,7 +94,7 @@ def _people(record: RunRecord, found: Found) -> Iterator[PersonPage]:
         angles = angles_of(poses, fps, record.config.method.angles)
         gait = gait_of(poses, fps, record.config.method.contact)
         charts = tuple(charts_of(poses, angles, fps, gait))
-        yield PersonPage(f"person {poses.person}", charts, person_summary(poses, angles, fps))
+        yield PersonPage(f"person {poses.person}", charts, person_summary(poses, angles, gait, fps))
 
 
 def _places(record: RunRecord, found: Found) -> Iterator[Place]:

@@ -379,6 +379,8 @@ class ContactSettings(_Strict):
     """Share of the points in the air that are as slow as one that rests."""
     usual_s: float = 0.3
     """How long a contact or a swing usually lasts."""
+    least_stance_s: float = 0.08
+    """A foot that is down for less has not stood: sprinters stand for longer."""
     most_nats: float = 8.0
     """A single frame speaks no louder for or against a contact."""
     low_quantile: float = 0.15

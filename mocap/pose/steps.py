@@ -73,7 +73,7 @@ def gait_of(poses: PersonPoses, fps: float, settings: ContactSettings) -> Gait:
     sole = list(SOLE_POINTS)
     points = poses.landmarks[:, sole]
     contacts = contacts_of(points, np.zeros(points.shape[:2]), fps, settings)
-    stances = stances_of(points, contacts)
+    stances = stances_of(points, contacts, settings.least_stance_s * fps)
     pelvis = poses.landmarks[:, ALL_LANDMARKS.index("pelvis"), :2]
     return Gait(poses.person, contacts, tuple(stances), tuple(_steps(stances, pelvis, fps)))
 
@@ -99,18 +99,27 @@ def _why_not(poses: PersonPoses, settings: ContactSettings) -> str:
     return ""
 
 
-def stances_of(points: Array, contacts: Contacts) -> list[Stance]:
-    """The stances of both feet by time.  points : (T, 4, 3) m, heels and toes as in `SOLE_POINTS`."""
-    stances = [s for k, side in enumerate(SIDES) for s in _stances(side, 2 * k, points, contacts)]
+def stances_of(points: Array, contacts: Contacts, least_frames: float) -> list[Stance]:
+    """The stances of both feet by time.
+
+    points : (T, 4, 3) m, heels and toes as in `SOLE_POINTS`.  least_frames : shorter ones are none, but at
+    the clip's ends.
+    """
+    stances = [
+        s for k, side in enumerate(SIDES) for s in _stances(side, 2 * k, points, contacts, least_frames)
+    ]
     return sorted(stances, key=lambda s: -1 if s.strike is None else s.strike)
 
 
-def _stances(side: str, first: int, points: Array, contacts: Contacts) -> list[Stance]:
+def _stances(side: str, first: int, points: Array, contacts: Contacts, least_frames: float) -> list[Stance]:
     """The stances of one foot, whose heel is column `first` of the sole points and whose toe the next."""
     heel, toe = contacts.probability[:, first], contacts.probability[:, first + 1]
     either = 1.0 - (1.0 - heel) * (1.0 - toe)
     found, T = [], len(points)
     for run in unbroken_runs(either > 0.5):
+        is_whole = run[0] > 0 and run[-1] + 1 < T
+        if is_whole and len(run) < least_frames:
+            continue
         own = heel[run] > 0.5
         place = points[run][own, first] if own.any() else points[run, first + 1]
         x, y = np.median(place[:, :2], axis=0)

@@ -30,7 +30,7 @@ from mocap.pose.angles import angles_of
 from mocap.pose.contacts import Contacts
 from mocap.pose.method import AngleSettings
 from mocap.pose.result import PersonPoses
-from mocap.pose.steps import Gait
+from mocap.pose.steps import Gait, Stance, Step
 
 BODY = scale_body(load_body_model("girdle"), 1.7)
 
@@ -172,8 +172,16 @@ def test_speed_and_curves_have_gaps_where_nobody_was(found: Found) -> None:
 
 def test_the_summary_is_a_table_to_paste(found: Found) -> None:
     (poses,) = found.poses
-    lines = person_summary(poses, angles_of(poses, FPS, AngleSettings()), FPS).split("\n")
+    angles = angles_of(poses, FPS, AngleSettings())
+    lines = person_summary(poses, angles, Gait(1, None), FPS).split("\n")
     words = dict(line.split("\t", 1) for line in lines)
+    assert "cadence" not in words
+    still = Contacts(np.ones((2, 4)), np.zeros(4), np.ones((2, 4)))
+    stance = Stance("left", 0, 1, 0.3, 0.3, (0.0, 0.0))
+    gait = Gait(1, still, (stance,), (Step(stance, 0.61, 0.1, 0.5, 0.7, 0.4, 1.2),))
+    told = dict(line.split("\t", 1) for line in person_summary(poses, angles, gait, FPS).split("\n"))
+    assert told["cadence"] == "120 per minute"
+    assert told["step length"] == "0.61 m"
     assert words["person"] == "1"
     assert words["body height"] == "1.70 m"
     assert words["followed"].startswith(f"{N_FRAMES - 1} frames")

@@ -12,12 +12,12 @@ from mocap.body.initial import HeightEstimate
 from mocap.data.motion import ALL_LANDMARKS, FURTHER_LANDMARKS
 from mocap.io.formats import write_c3d
 from mocap.pipeline.outputs import MOVE_COLUMNS, foot_events, write_moves_csv
-from mocap.pose.contacts import SOLE_POINTS, contacts_of, held, lowest_level, slips_m, unbroken_runs
+from mocap.pose.contacts import SOLE_POINTS, Contacts, contacts_of, held, lowest_level, slips_m, unbroken_runs
 from mocap.pose.deviation import FrameSeries
 from mocap.pose.method import ContactSettings, Method
 from mocap.pose.result import PersonPoses, motion_of
 from mocap.pose.smooth import smooth_motion
-from mocap.pose.steps import check_floor, gait_numbers, gait_of, warnings_of_gait
+from mocap.pose.steps import check_floor, gait_numbers, gait_of, stances_of, warnings_of_gait
 from mocap.synth.figure import (
     feet_and_hands_of,
     forward_kinematics,
@@ -95,6 +95,14 @@ def test_the_numbers_of_a_walk_are_those_of_its_feet() -> None:
     assert 0.03 < numbers["step_width_m"] < 0.2
     assert 55.0 < numbers["stance_percent"] < 68.0
     assert numbers["step_length_asymmetry_percent"] < 5.0
+
+
+def test_a_foot_that_is_down_for_a_moment_has_not_stood() -> None:
+    down = np.zeros((30, 4))
+    down[4:6, 0] = down[10:20, 0] = down[28:, 0] = 1.0
+    contacts = Contacts(down, np.zeros(4), down)
+    stances = stances_of(np.zeros((30, 4, 3)), contacts, SETTINGS.least_stance_s * FPS)
+    assert [(s.strike, s.off) for s in stances] == [(10, 20), (28, None)]
 
 
 def test_a_jog_has_frames_in_which_no_foot_is_down() -> None:
