@@ -101,8 +101,8 @@ def coordinates_of_states(body: Body, states: Array) -> dict[str, Array]:
 def opensim_bodies(body: Body, markers: Mapping[str, str]) -> list[OpenSimBody]:
     """The body as a model of OpenSim, in metres; its coordinates are those of `opensim_coordinates`.
 
-    markers : landmark -> name, those that the model carries. The shoulder girdle, which the models do not have, is at
-    rest: shoulders are where they are in the rest pose. A spine of two joints is one joint between them.
+    markers : landmark -> name, those that the model carries. With all coordinates 0 it stands upright as the body does.
+    The shoulder girdle, which the models do not have, is at rest. A spine of two joints is one joint between them.
     """
     at, standing = (
         segment_joints(body.joints),
@@ -117,7 +117,8 @@ def opensim_bodies(body: Body, markers: Mapping[str, str]) -> list[OpenSimBody]:
         origins["thorax"] = lower + _UPPER_SHARE * (upper - lower)
 
     def inside(segment: str, place: Array) -> Array:
-        return np.asarray(ISB_FROM_OURS @ standing[segment] @ (place - origins[segment]))
+        joint = places[at[segment]]
+        return np.asarray(ISB_FROM_OURS @ (joint - origins[segment] + standing[segment] @ (place - joint)))
 
     carried = _carried(body, {segment: at[segment] for segment in origins})
     movable, out = set(body_angles(body)), {}
