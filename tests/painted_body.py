@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from flesh_voxels import Flesh
 
 from mocap.body import cones_of, joint_transforms
-from mocap.body.flesh import cone_distances
+from mocap.data import Camera, CameraRig
 from mocap.likelihood.colours import PixelRays
-
-STEP_M = 0.01
+from mocap.likelihood.colours._kernels import see_cones
+from mocap.likelihood.residuals import Crops, person_crops, pinhole_view
 
 
 def rays_at(flesh: Flesh, state: np.ndarray, *, seed: int, n: int = 900) -> PixelRays:
@@ -26,37 +28,54 @@ def rays_at(flesh: Flesh, state: np.ndarray, *, seed: int, n: int = 900) -> Pixe
     return PixelRays(origins, camera, directions, np.zeros((n, 3), dtype=np.uint8))
 
 
-def painted(flesh: Flesh, state: np.ndarray, *, seed: int, n: int = 900) -> PixelRays:
-    """Those of `rays_at` that meet the body, and the colours there: waves of 15 to 25 cm."""
-    rays = rays_at(flesh, state, seed=seed, n=n)
-    origins, camera, directions = rays.origins, rays.camera, rays.directions
-    cone, place = entries(flesh, state, origins[camera], directions)
-    R, t = joint_transforms(flesh.body, state[None])
-    joint = flesh.body.cones.joint[cone]
-    local = np.einsum("mji,mj->mi", R[0, joint], place - t[0, joint])
-    rgb = 128 + 70 * np.sin(local @ (2 * np.pi * np.diag([4.0, 5.0, 6.5])) + 1.7 * joint[:, None])
-    seen = cone >= 0
-    return PixelRays(origins, camera[seen], directions[seen], rgb[seen].astype(np.uint8))
+def cameras_around() -> CameraRig:
+    """Four small cameras around a body at the origin."""
+    K = np.array([[190.0, 0, 95.5], [0, 190.0, 119.5], [0, 0, 1]])
+    found = []
+    for i, angle in enumerate((0.3, 1.9, 3.4, 5.0)):
+        eye = np.array([3 * np.cos(angle), 3 * np.sin(angle), 1.2])
+        forward = np.array([0, 0, 1.0]) - eye
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        R = np.stack([right, np.cross(forward, right), forward])
+        found.append(Camera(f"c{i}", (192, 240), K, np.zeros(5), R, -R @ eye))
+    return CameraRig(tuple(found))
 
 
-def entries(
-    flesh: Flesh, state: np.ndarray, origins: np.ndarray, directions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The cone that every ray enters first, -1 for none, and where (M, 3): by steps along the ray, then by halving."""
-    start, end = cones_of(flesh.body, state)
-    radii = flesh.body.cones.radii
-    cone, place = np.full(len(origins), -1), np.zeros((len(origins), 3))
-    for i, (o, u) in enumerate(zip(origins, directions, strict=True)):
-        depth = np.arange(1.8, 4.2, STEP_M)
-        inside = (cone_distances(o + depth[:, None] * u, start, end, radii, True) <= 0).any(axis=1)
-        if not inside.any():
-            continue
-        far = depth[int(inside.argmax())]
-        near = far - STEP_M
-        for _ in range(12):
-            middle = 0.5 * (near + far)
-            is_in = (cone_distances((o + middle * u)[None], start, end, radii, True) <= 0).any()
-            near, far = (near, middle) if is_in else (middle, far)
-        place[i] = o + far * u
-        cone[i] = cone_distances(place[i][None], start, end, radii, True)[0].argmin()
-    return cone, place
+def painted(flesh: Flesh, state: np.ndarray, rig: CameraRig) -> list[np.ndarray]:
+    """What cameras see of a body in a pose (D,): waves of colour of 15 to 25 cm, grey around it; (H, W, 3) each."""
+    body = flesh.body
+    start, end = cones_of(body, state)
+    R, t = joint_transforms(body, state[None])
+    pictures = []
+    for camera in rig:
+        width, height = camera.size
+        uv = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
+        directions = camera.rays(uv.astype(float))
+        n = len(uv)
+        columns = np.concatenate([np.tile(camera.center[:, None], n), directions.T]).astype(np.float32)
+        depth, miss = np.full(n, np.float32(np.inf)), np.zeros(n, np.float32)
+        cone, at = np.full(n, np.int32(-1)), np.zeros(n, np.float32)
+        see_cones(columns, start, end, body.cones.radii, depth, miss, cone, at)
+        rgb = np.full((n, 3), 90.0)
+        seen = np.isfinite(depth) & (cone >= 0)
+        joint = body.cones.joint[cone[seen]]
+        places = camera.center + depth[seen, None] * directions[seen]
+        local = np.einsum("mji,mj->mi", R[0, joint], places - t[0, joint])
+        rgb[seen] = 128 + 70 * np.sin(local @ (2 * np.pi * np.diag([4.0, 5.0, 6.5])) + 1.7 * joint[:, None])
+        pictures.append(rgb.astype(np.uint8).reshape(height, width, 3))
+    return pictures
+
+
+def crops_of(flesh: Flesh, state: np.ndarray, rig: CameraRig, pictures: Sequence[np.ndarray]) -> Crops:
+    """What cameras show around a body alone in a room."""
+    hull = flesh.hull(state)
+    return person_crops(
+        [pinhole_view(camera) for camera in rig],
+        pictures,
+        flesh.grid.centers(hull.voxels[hull.is_surface]),
+        np.zeros((0, 3)),
+        is_used=[True] * len(rig.cameras),
+        hidden=[None] * len(rig.cameras),
+    )

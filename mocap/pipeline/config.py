@@ -193,8 +193,9 @@ class PoseConfig(_Section):
     """Nats that the colours of the silhouettes are worth in the evidence, per nat of a pixel's colour; 0 = without.
     What colours the limbs have is learnt while the person is followed."""
     texture_weight: float = Field(default=0.0, ge=0)
-    """Nats that the colours of all places of the body are worth when poses are refined once more, per half of the
-    pixels' mean squared deviation; 0 = not once more. They are learnt over the clip, after all poses are found."""
+    """Nats that the colours of places on the body are worth when poses are refined once more, per half of their mean
+    squared deviation; 0 = not once more. They are learnt over the clip, after all poses are found; the pictures are
+    read twice more."""
     feedback_share: float = Field(default=0.5, ge=0, lt=1)
     """Share of the particles that take over the refined pose."""
     look_again: bool = True

@@ -15,7 +15,6 @@ from mocap.body.keypoints import place_keypoints
 from mocap.data.problem import ResidualProblem
 from mocap.filters.refine import RefineSettings, refine
 from mocap.filters.scout import Bonus
-from mocap.likelihood.colours import new_appearance
 from mocap.likelihood.keypoints import KeypointProblem, KeypointSettings, KeypointViews
 from mocap.likelihood.residuals.total import SumProblem
 from mocap.likelihood.voxels import VoxelProblem
@@ -158,12 +157,6 @@ class FusedObservation(VolumeObservation):
     """
 
     views_of: ViewsOf = lambda frame: None
-
-    def learning(self) -> VolumeObservation:
-        return replace(self, appearance=new_appearance(self.tools.body))
-
-    def with_tools(self, tools: VolumeTools) -> VolumeObservation:
-        return replace(self, tools=tools, appearance=None)
 
     def prepare(self, frame: int) -> tuple[PreparedHull, KeypointViews | None] | None:  # type: ignore[override]
         """Hull and keypoints of a frame, None where there is too little of a hull."""

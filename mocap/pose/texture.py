@@ -2,47 +2,95 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Iterator
 
-from mocap.arrays import Array
-from mocap.likelihood.residuals import Texture, TextureProblem, learnt_texture
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.arrays import Indices
+from mocap.forks import can_fork, forked, shared_zeros
+from mocap.likelihood.residuals import (
+    ColourCounts,
+    Crops,
+    Texture,
+    TextureProblem,
+    TextureSettings,
+    places_of,
+)
 from mocap.pose.deviation import FrameSeries, fit_covariance
 from mocap.pose.evidence import PersonClip
 from mocap.pose.volume import VolumeObservation
+
+# What is done with the rows of a clip that one process takes, and which of the two it is.
+_Half = Callable[[Indices, int], None]
 
 
 def settle_on_texture(clip: PersonClip, series: FrameSeries) -> None:
     """Refine the pose of every frame on hull, outlines and texture together, in place.
 
     A pose that was off one way in one frame and the other way in the next has smeared the texture, and is drawn to the
-    middle: what is left of it is what is constant. Frames without pictures, or without a hull, stay as they are.
+    middle: what is left of it is what is constant. The pictures are read twice. Frames without pictures, or without a
+    hull, stay as they are.
     """
     observation = clip.observation
     assert isinstance(observation, VolumeObservation)
-    texture = texture_of(clip, observation, series.states)
-    weight, method = observation.tools.settings.texture_weight, observation.tools.settings.method
-    for row, frame in enumerate(clip.frames):
-        prepared = observation.prepare(int(frame))
-        evidence = None if prepared is None else observation.evidence(prepared)
-        if evidence is None or evidence.hull.rays is None:
-            continue
-        state = evidence.refined_with(series.states[row], TextureProblem(texture, evidence.hull.rays, weight))
-        fit = evidence.fit(state)
-        series.states[row] = state
-        series.fit_covariance[row] = fit_covariance(
-            evidence.tools.body, state, fit.information, method.deviation
-        )
-        series.misfit[row], series.unexplained[row] = fit.misfit, fit.unexplained
-        series.log_likelihood[row] = fit.log_likelihood
+    if observation.pictures_of is None:
+        return
+    tools = observation.tools
+    weight, method = tools.settings.texture_weight, tools.settings.method
+    texture = _texture_of(clip, observation, series)
+
+    def settle(rows: Indices, half: int) -> None:
+        for row, crops in _crops(clip, observation, rows):
+            prepared = observation.prepare(int(clip.frames[row]))
+            if prepared is None:
+                continue
+            evidence = observation.evidence(prepared)
+            problem = TextureProblem.about(texture, crops, series.states[row], weight)
+            state = evidence.refined_with(series.states[row], problem)
+            fit = evidence.fit(state)
+            series.states[row] = state
+            series.fit_covariance[row] = fit_covariance(tools.body, state, fit.information, method.deviation)
+            series.misfit[row], series.unexplained[row] = fit.misfit, fit.unexplained
+            series.log_likelihood[row] = fit.log_likelihood
+
+    _in_halves(settle, np.arange(len(series)), tools.n_threads)
 
 
-def texture_of(clip: PersonClip, observation: VolumeObservation, states: Array) -> Texture:
-    """The texture that the poses (T, D) of a clip teach, by frames spread over it."""
-    n = observation.tools.settings.method.evidence.texture_frames
-    rows = np.unique(np.linspace(0, len(states) - 1, n).astype(int))
-    seen = []
-    for row in rows:
-        hull = observation.hull_of(int(clip.frames[row]))
-        if hull is not None and hull.rays is not None:
-            seen.append((hull.rays(), states[row]))
-    return learnt_texture(observation.tools.body, seen)
+def _texture_of(clip: PersonClip, observation: VolumeObservation, series: FrameSeries) -> Texture:
+    """The texture that the poses of a clip teach, by frames spread over it."""
+    tools, numbers = observation.tools, TextureSettings()
+    places = places_of(tools.body, tools.table, numbers.n_places)
+    counts: NDArray[np.int64] = shared_zeros((2, len(places.joint), 3, 256), np.int64)
+
+    def count(rows: Indices, half: int) -> None:
+        own = ColourCounts(tools.body, places, counts[half], numbers)
+        for row, crops in _crops(clip, observation, rows):
+            own.see(crops, series.states[row])
+
+    n = tools.settings.method.evidence.texture_frames
+    _in_halves(count, np.unique(np.linspace(0, len(series) - 1, n).astype(np.int64)), tools.n_threads)
+    return ColourCounts(tools.body, places, counts.sum(axis=0), numbers).texture
+
+
+def _crops(clip: PersonClip, observation: VolumeObservation, rows: Indices) -> Iterator[tuple[int, Crops]]:
+    """What cameras show around the person, of those rows of the clip in which there is a hull."""
+    assert observation.pictures_of is not None
+    frames = clip.frames[rows].tolist()
+    with observation.pictures_of(frames) as reader:
+        for row, (frame, pictures) in zip(rows.tolist(), reader, strict=True):
+            hull = observation.hull_of(frame)
+            if hull is not None and hull.crops is not None:
+                yield row, hull.crops(pictures)
+
+
+def _in_halves(do: _Half, rows: Indices, n_threads: int) -> None:
+    """Do something with all rows: with one half of them in a process of its own where there are threads for it."""
+    earlier, later = np.array_split(rows, 2)
+    if n_threads > 1 and len(earlier) and len(later) and can_fork():
+        with forked(lambda tick: do(later, 1), lambda n: None):
+            do(earlier, 0)
+    else:
+        for half, own in enumerate((earlier, later)):
+            if len(own):
+                do(own, half)

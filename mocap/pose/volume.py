@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import Image
 from mocap.body import (
     Body,
     LookUpTable,
@@ -29,6 +31,7 @@ from mocap.filters.scout import Bonus
 from mocap.likelihood.colours import Appearance, ColourProblem, PixelRays, new_appearance
 from mocap.likelihood.residuals import (
     BodyFit,
+    Crops,
     HullSurface,
     OutlineFitSettings,
     OutlineProblem,
@@ -76,6 +79,7 @@ class PersonHull:
 
     outlines : makes the person's outlines in the cameras, or None where there are no masks.
     rays : makes the rays through the person's pixels, or None where there are no pictures.
+    crops : makes what cameras show around the person of their pictures of the frame, or None.
     unknown : (U,) int32 ascending, voxels around the person that too few cameras can judge.  n_judges : how many
     cameras can judge points (N, 3) m, (N,), or None when nothing is known of cameras.  is_among_things : something is
     known to hide people.  measured : (N, 3) m, where depth maps have measured the surface of each voxel, NaN = nowhere;
@@ -86,6 +90,7 @@ class PersonHull:
     is_surface: NDArray[np.bool_]
     outlines: Callable[[], Outlines] | None = None
     rays: Callable[[], PixelRays] | None = None
+    crops: Callable[[Sequence[Image]], Crops] | None = None
     unknown: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     n_judges: Callable[[Array], NDArray[np.int64]] | None = None
     is_among_things: bool = False
@@ -93,6 +98,9 @@ class PersonHull:
 
 
 HullOf = Callable[[int], PersonHull | None]
+
+# Ascending frames -> each of them with the pictures of all cameras.
+PicturesOf = Callable[[Sequence[int]], AbstractContextManager[Iterable[tuple[int, Sequence[Image]]]]]
 
 
 def pack_volume(
@@ -189,7 +197,7 @@ class VolumeTools(PersonTools):
         with_outlines = hull.outlines is not None and settings.outline_weight > 0
         with part("outlines"):
             outlines = hull.outlines() if hull.outlines is not None and with_outlines else None
-        with_colours = hull.rays is not None and max(settings.colour_weight, settings.texture_weight) > 0
+        with_colours = hull.rays is not None and settings.colour_weight > 0
         with part("colours"):
             rays = hull.rays() if hull.rays is not None and with_colours else None
         return PreparedHull(hull, volume, surface, outlines, rays)
@@ -542,20 +550,22 @@ class _ColourNats:
 class VolumeObservation:
     """The hulls of one person over a clip. Implements `Observation`.
 
-    appearance : what has been learnt of the person's colours; None = colours have no say.
+    appearance : what has been learnt of the person's colours; None = colours have no say.  pictures_of : reads the
+    pictures once more; None where there are none.
     """
 
     tools: VolumeTools
     hull_of: HullOf
     appearance: Appearance | None = None
+    pictures_of: PicturesOf | None = None
 
     def learning(self) -> VolumeObservation:
         """The same, with colours that are learnt while the person is followed."""
-        return VolumeObservation(self.tools, self.hull_of, new_appearance(self.tools.body))
+        return replace(self, appearance=new_appearance(self.tools.body))
 
     def with_tools(self, tools: VolumeTools) -> VolumeObservation:
         """The same hulls judged by other tools, without colours."""
-        return VolumeObservation(tools, self.hull_of)
+        return replace(self, tools=tools, appearance=None)
 
     def prepare(self, frame: int) -> PreparedHull | None:
         """The hull of a frame, None where there is none or too little of one."""

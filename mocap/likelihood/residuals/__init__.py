@@ -10,11 +10,21 @@ from mocap.likelihood.residuals.outlines import (
     pinhole_view,
 )
 from mocap.likelihood.residuals.surface import HullSurface, SurfaceFitSettings, SurfaceProblem, hull_surface
-from mocap.likelihood.residuals.texture import Texture, TextureProblem, TextureSettings, learnt_texture
+from mocap.likelihood.residuals.texture import (
+    ColourCounts,
+    Crops,
+    Texture,
+    TextureProblem,
+    TextureSettings,
+    person_crops,
+    places_of,
+)
 from mocap.likelihood.residuals.total import SumProblem
 
 __all__ = [
     "BodyFit",
+    "ColourCounts",
+    "Crops",
     "HullSurface",
     "OutlineFitSettings",
     "OutlineProblem",
@@ -27,7 +37,8 @@ __all__ = [
     "TextureProblem",
     "TextureSettings",
     "hull_surface",
-    "learnt_texture",
+    "person_crops",
     "person_outlines",
     "pinhole_view",
+    "places_of",
 ]

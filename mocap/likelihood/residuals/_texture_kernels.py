@@ -1,4 +1,4 @@
-"""Kernels of texture: where rays enter the flesh, what they teach of its colours there, and how those pull a pose."""
+"""Kernels of texture: which places of the flesh cameras see, what colours they see there, and how those pull a pose."""
 
 from __future__ import annotations
 
@@ -13,251 +13,194 @@ from mocap.body._kernels import chain_axes
 from mocap.likelihood.colours._kernels import see_cones
 from mocap.likelihood.residuals._pull_kernels import add_pull, place_points, robust_loss, spread_pulls
 
-_TURN = 2.0 * math.pi
-_LEAST_RADIUS = 0.3  # of a cone's: nearer to its axis colours do not turn faster
+_NEAREST_M = 0.1  # what lies nearer to a camera is not in its picture
 
 
-class Lattice(NamedTuple):
-    """Nodes on the flesh of every cone, along its axis, round ends included, and about it.
+class Places(NamedTuple):
+    """Places on the flesh, each in the frame of its joint.  points, normals : (M, 3), m and outward unit vectors.
+    joint : (M,)."""
 
-    axes : (K, 3, 3), rows along the cone's axis and two across, in its joint's frame.  length : (K,) m.  shape : (K, 2)
-    nodes along and about.  first : (K,) index of each cone's first node; about runs fastest.
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    joint: NDArray[np.int64]
+
+
+class Crops(NamedTuple):
+    """What C cameras show around one person: pieces of their pictures, as pinholes see them, one after the other.
+
+    colours : (P, 3) luma and chroma, smoothed, row after row.  is_clear : (P,) whether nothing is known to stand before
+    the person there.  first, shape : (C,), (C, 2), of each piece, rows and columns; (0, 0) = shows nothing.  R, t :
+    (C, 3, 3), (C, 3), world to camera.  focal, middle : (C, 2) pixels of the piece.
     """
 
-    axes: NDArray[np.float64]
-    length: NDArray[np.float64]
-    shape: NDArray[np.int64]
-    first: NDArray[np.int64]
-
-
-class SeenRays(NamedTuple):
-    """Rays with what they show.  columns : (6, M) float32, origins and unit directions.  colours : (M, 3) luma and
-    chroma."""
-
-    columns: NDArray[np.float32]
     colours: NDArray[np.uint8]
+    is_clear: NDArray[np.bool_]
+    first: NDArray[np.int64]
+    shape: NDArray[np.int64]
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
+    focal: NDArray[np.float64]
+    middle: NDArray[np.float64]
 
 
 class TextureTerms(NamedTuple):
-    """Known colours of the flesh.  mean : (N, 3).  inverse : (N, 3) inverse deviation, 0 where nothing is known.
-    least_cosine : of the angle at which rays must enter.  scale : deviations at which a pixel loses three quarters of
-    its pull."""
+    """Known colours of places.  mean, inverse : (M, 3), the latter of deviations, 0 = not known.  scale : deviations
+    at which a colour loses three quarters of its pull."""
 
-    lattice: Lattice
     mean: NDArray[np.float64]
     inverse: NDArray[np.float64]
-    least_cosine: float
     scale: float
 
 
-class _Posed(NamedTuple):
-    """A body in one pose.  R, t : (J, 3, 3), (J, 3), joint to world.  axes : of the rotations, (n_dofs, 3).  start :
-    (K, 3), of the cones.  cone : (M,) which one each ray enters first, -1 = none."""
-
-    R: NDArray[np.float64]
-    t: NDArray[np.float64]
-    axes: NDArray[np.float64]
-    start: NDArray[np.float64]
-    cone: NDArray[np.int32]
+@njit(cache=True, nogil=True)
+def _in_camera(crops, c, x, y, z):
+    """A point of the world in the frame of a camera."""
+    R, t = crops.R[c], crops.t[c]
+    return (
+        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0],
+        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1],
+        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2],
+    )
 
 
 @njit(cache=True, nogil=True)
-def _pose(state, body, columns):
-    """What a state (D,) does to a body, and which of its cones rays enter first."""
-    chain, cones = body.chain, body.cones
+def _cell(crops, c, x, y, z):
+    """The pixel of a crop, column and row, up and left of where a point in the frame of its camera lies, and the rest
+    of the way, in pixels; the column is -1 outside."""
+    if z < _NEAREST_M:
+        return -1, -1, 0.0, 0.0
+    u = crops.focal[c, 0] * x / z + crops.middle[c, 0]
+    v = crops.focal[c, 1] * y / z + crops.middle[c, 1]
+    if not (0.0 <= u < crops.shape[c, 1] - 1 and 0.0 <= v < crops.shape[c, 0] - 1):
+        return -1, -1, 0.0, 0.0
+    column, row = int(u), int(v)
+    return column, row, u - column, v - row
+
+
+@njit(cache=True, nogil=True)
+def _colour(colours, pixel, width, a, b, k):
+    """A channel between four pixels, a to the right of one and b below it, and how it grows to the right and down."""
+    here, right = np.float64(colours[pixel, k]), np.float64(colours[pixel + 1, k])
+    below, beyond = np.float64(colours[pixel + width, k]), np.float64(colours[pixel + width + 1, k])
+    colour = (1 - b) * ((1 - a) * here + a * right) + b * ((1 - a) * below + a * beyond)
+    return (
+        colour,
+        (1 - b) * (right - here) + b * (beyond - below),
+        (1 - a) * (below - here) + a * (beyond - right),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _posed(state, body, places):
+    """What a state (D,) does to a body: joints (J, 3, 3), (J, 3), rotation axes, places and their normals (M, 3)."""
+    chain = body.chain
     J = chain.parent.shape[0]
     R, t, axes = np.empty((J, 3, 3)), np.empty((J, 3)), np.empty((chain.dof_joint.shape[0], 3))
     chain_axes(state, chain, R, t, axes)
+    points, normals = np.empty_like(places.points), np.empty_like(places.normals)
+    place_points(places.points, places.joint, R, t, points)
+    place_points(places.normals, places.joint, R, np.zeros((J, 3)), normals)
+    return R, t, axes, points, normals
+
+
+@njit(cache=True, nogil=True)
+def see_places(state, body, places, crops, least_cosine, slack_m, seen):
+    """Which places every camera sees under a state (D,), into seen (C, M): those that face it, more than grazed, with
+    no flesh more than `slack_m` before them, where the picture is clear."""
+    R, t, _, points, normals = _posed(state, body, places)
+    cones, M = body.cones, points.shape[0]
     start, end = np.empty_like(cones.start), np.empty_like(cones.end)
     place_points(cones.start, cones.joint, R, t, start)
     place_points(cones.end, cones.joint, R, t, end)
-    n = columns.shape[1]
-    depth, miss = np.full(n, np.float32(np.inf)), np.zeros(n, np.float32)
-    cone, at = np.full(n, np.int32(-1)), np.zeros(n, np.float32)
-    see_cones(columns, start, end, cones.radii, depth, miss, cone, at)
-    return _Posed(R, t, axes, start, cone)
-
-
-@njit(cache=True, nogil=True)
-def _axes_in_world(R, axes, world):
-    """Rows of axes (3, 3), in a joint's frame, turned by its R (3, 3) into world (3, 3)."""
-    for a in range(3):
+    columns, distance = np.empty((6, M), np.float32), np.empty(M)
+    miss, at = np.zeros(M, np.float32), np.zeros(M, np.float32)
+    for c in range(crops.first.shape[0]):
+        if crops.shape[c, 0] == 0:
+            seen[c] = False
+            continue
         for r in range(3):
-            world[a, r] = R[r, 0] * axes[a, 0] + R[r, 1] * axes[a, 1] + R[r, 2] * axes[a, 2]
+            eye = 0.0
+            for a in range(3):
+                eye -= crops.R[c, a, r] * crops.t[c, a]
+            columns[r] = eye
+        for i in range(M):
+            dx, dy, dz = (
+                points[i, 0] - columns[0, i],
+                points[i, 1] - columns[1, i],
+                points[i, 2] - columns[2, i],
+            )
+            distance[i] = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+            columns[3, i], columns[4, i], columns[5, i] = (
+                dx / distance[i],
+                dy / distance[i],
+                dz / distance[i],
+            )
+        depth, cone = np.full(M, np.float32(np.inf)), np.full(M, np.int32(-1))
+        see_cones(columns, start, end, cones.radii, depth, miss, cone, at)
+        for i in range(M):
+            facing = -(
+                normals[i, 0] * columns[3, i] + normals[i, 1] * columns[4, i] + normals[i, 2] * columns[5, i]
+            )
+            seen[c, i] = facing > least_cosine and depth[i] > distance[i] - slack_m
+            if seen[c, i]:
+                x, y, z = _in_camera(crops, c, points[i, 0], points[i, 1], points[i, 2])
+                column, row, _, _ = _cell(crops, c, x, y, z)
+                pixel = crops.first[c] + row * crops.shape[c, 1] + column
+                seen[c, i] = column >= 0 and crops.is_clear[pixel]
 
 
 @njit(cache=True, nogil=True)
-def _along(world, x, y, z):
-    """A vector of the world in the frame of three axes, rows of world (3, 3)."""
-    return (
-        world[0, 0] * x + world[0, 1] * y + world[0, 2] * z,
-        world[1, 0] * x + world[1, 1] * y + world[1, 2] * z,
-        world[2, 0] * x + world[2, 1] * y + world[2, 2] * z,
-    )
+def count_colours(state, body, places, crops, seen, counts):
+    """Add what is seen (C, M) of places under a state (D,) to the counts of their colours (M, 3, 256)."""
+    _, _, _, points, _ = _posed(state, body, places)
+    for c in range(seen.shape[0]):
+        for i in range(seen.shape[1]):
+            if not seen[c, i]:
+                continue
+            x, y, z = _in_camera(crops, c, points[i, 0], points[i, 1], points[i, 2])
+            column, row, a, b = _cell(crops, c, x, y, z)
+            if column < 0:
+                continue
+            pixel = crops.first[c] + row * crops.shape[c, 1] + column
+            for k in range(3):
+                colour, _, _ = _colour(crops.colours, pixel, crops.shape[c, 1], a, b, k)
+                counts[i, k, int(colour + 0.5)] += 1
 
 
 @njit(cache=True, nogil=True)
-def _entry(w, u, length, radii, k):
-    """Where a ray enters a round-ended cone that lies along the first axis from 0.
-
-    w, u : three numbers each, the ray's origin and unit direction.  Returns the place and the outward normal there,
-    three numbers each; a normal of 0 where the ray passes by.
-    """
-    taper = (radii[k, 1] - radii[k, 0]) / max(length, 1e-9)
-    r = radii[k, 0] + taper * w[0]
-    a = u[1] * u[1] + u[2] * u[2] - taper * taper * u[0] * u[0]
-    b = w[1] * u[1] + w[2] * u[2] - taper * r * u[0]
-    root = b * b - a * (w[1] * w[1] + w[2] * w[2] - r * r)
-    x = w[0] - u[0] * (w[0] * u[0] + w[1] * u[1] + w[2] * u[2])  # nearest to where the cone begins
-    if a > 1e-9 and root > 0.0:
-        depth = (-b - math.sqrt(root)) / a
-        x = w[0] + depth * u[0]
-        if 0.0 <= x <= length:
-            y, z = w[1] + depth * u[1], w[2] + depth * u[2]
-            scale = 1.0 / math.sqrt(1.0 + taper * taper)
-            across = scale / (radii[k, 0] + taper * x)
-            return (x, y, z), (-scale * taper, across * y, across * z)
-    end = 0.0 if x < 0.5 * length else length
-    radius = radii[k, 0] if end == 0.0 else radii[k, 1]
-    b = (w[0] - end) * u[0] + w[1] * u[1] + w[2] * u[2]
-    root = b * b - (w[0] - end) ** 2 - w[1] * w[1] - w[2] * w[2] + radius * radius
-    if root <= 0.0:
-        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    depth = -b - math.sqrt(root)
-    x, y, z = w[0] + depth * u[0], w[1] + depth * u[1], w[2] + depth * u[2]
-    return (x, y, z), ((x - end) / radius, y / radius, z / radius)
-
-
-@njit(cache=True, nogil=True)
-def _nodes_at(at, k, radii, lattice, node, share, slope):
-    """The four nodes about a place on cone k, in its frame: their indices into node (4,), shares into share (4,), and
-    how the shares grow with the place, 1/m, into slope (4, 3)."""
-    n_along, n_about = lattice.shape[k, 0], lattice.shape[k, 1]
-    rise = (n_along - 1) / (lattice.length[k] + radii[k, 0] + radii[k, 1])
-    a = (at[0] + radii[k, 0]) * rise
-    if a <= 0.0 or a >= n_along - 1:
-        a = min(max(a, 0.0), n_along - 1.0)
-        rise = 0.0
-    i = min(int(a), n_along - 2)
-    b = (math.atan2(at[2], at[1]) % _TURN) / _TURN * n_about
-    j = int(b) % n_about
-    least = _LEAST_RADIUS * min(radii[k, 0], radii[k, 1])
-    turn = n_about / _TURN / max(at[1] * at[1] + at[2] * at[2], least * least)
-    for q in range(4):
-        along, about = q // 2, q % 2
-        node[q] = lattice.first[k] + (i + along) * n_about + (j + about) % n_about
-        share_along = a - i if along else 1.0 - (a - i)
-        share_about = b - math.floor(b) if about else 1.0 - (b - math.floor(b))
-        share[q] = share_along * share_about
-        slope[q, 0] = (2 * along - 1) * rise * share_about
-        slope[q, 1] = -(2 * about - 1) * turn * at[2] * share_along
-        slope[q, 2] = (2 * about - 1) * turn * at[1] * share_along
-
-
-@njit(cache=True, nogil=True)
-def _met(posed, columns, i, cones, lattice, world):
-    """What ray i meets of the cone that it enters first: its direction, the place and the normal there, three numbers
-    each, in the cone's frame; world (3, 3) is filled with the cone's axes."""
-    k = posed.cone[i]
-    _axes_in_world(posed.R[cones.joint[k]], lattice.axes[k], world)
-    w = _along(
-        world,
-        columns[0, i] - posed.start[k, 0],
-        columns[1, i] - posed.start[k, 1],
-        columns[2, i] - posed.start[k, 2],
-    )
-    u = _along(world, columns[3, i], columns[4, i], columns[5, i])
-    at, normal = _entry(w, u, lattice.length[k], cones.radii, k)
-    return u, at, normal
-
-
-@njit(cache=True, nogil=True)
-def learn_texture(state, body, rays, known, gate, weight, total, square):
-    """Add what rays show under a state (D,) to the sums of every node.
-
-    known : TextureTerms, what is known already; a colour further from it than `gate` deviations teaches nothing.
-    weight : (N,), total, square : (N, 3), of shares, colours and their squares.
-    """
-    posed = _pose(state, body, rays.columns)
-    cones, lattice, world = body.cones, known.lattice, np.empty((3, 3))
-    node, share, slope = np.empty(4, np.int64), np.empty(4), np.empty((4, 3))
-    for i in range(posed.cone.shape[0]):
-        k = posed.cone[i]
-        if k < 0:
-            continue
-        u, at, n = _met(posed, rays.columns, i, cones, lattice, world)
-        if -(n[0] * u[0] + n[1] * u[1] + n[2] * u[2]) < known.least_cosine:
-            continue
-        _nodes_at(at, k, cones.radii, lattice, node, share, slope)
-        is_usual = True
-        for c in range(3):
-            mean, inverse = 0.0, 0.0
-            for q in range(4):
-                mean += share[q] * known.mean[node[q], c]
-                inverse += share[q] * known.inverse[node[q], c]
-            is_usual &= abs(rays.colours[i, c] - mean) * inverse < gate
-        if not is_usual:
-            continue
-        for q in range(4):
-            weight[node[q]] += share[q]
-            for c in range(3):
-                colour = np.float64(rays.colours[i, c])
-                total[node[q], c] += share[q] * colour
-                square[node[q], c] += share[q] * colour * colour
-
-
-@njit(cache=True, nogil=True)
-def texture_equations(state, body, rays, known, H, g):
-    """Robust cost of a state (D,), half the squared deviations summed over rays and channels; adds its normal equations
-    to H (D, D) and g (D,)."""
-    posed = _pose(state, body, rays.columns)
-    cones, lattice, world = body.cones, known.lattice, np.empty((3, 3))
-    node, share, slope = np.empty(4, np.int64), np.empty(4), np.empty((4, 3))
-    pulls = np.zeros((posed.t.shape[0], 7, 6))
+def texture_equations(state, body, places, crops, seen, known, H, g):
+    """Robust cost of a state (D,), half the squared deviations summed over what is seen (C, M) and channels; adds its
+    normal equations to H (D, D) and g (D,). A place that has left the picture costs what a colour can at most."""
+    _, t, axes, points, _ = _posed(state, body, places)
+    pulls = np.zeros((t.shape[0], 7, 6))
+    most = 3.0 * 0.5 * known.scale * known.scale
     cost = 0.0
-    for i in range(posed.cone.shape[0]):
-        k = posed.cone[i]
-        if k < 0:
-            continue
-        u, at, n = _met(posed, rays.columns, i, cones, lattice, world)
-        cosine = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
-        if -cosine < known.least_cosine:
-            continue
-        _nodes_at(at, k, cones.radii, lattice, node, share, slope)
-        is_known = True
-        for q in range(4):
-            is_known &= known.inverse[node[q], 0] > 0.0
-        if not is_known:
-            continue
-        place = (
-            posed.start[k, 0] + at[0] * world[0, 0] + at[1] * world[1, 0] + at[2] * world[2, 0],
-            posed.start[k, 1] + at[0] * world[0, 1] + at[1] * world[1, 1] + at[2] * world[2, 1],
-            posed.start[k, 2] + at[0] * world[0, 2] + at[1] * world[1, 2] + at[2] * world[2, 2],
-        )
-        for c in range(3):
-            mean, inverse, gx, gy, gz = 0.0, 0.0, 0.0, 0.0, 0.0
-            for q in range(4):
-                colour = known.mean[node[q], c]
-                mean += share[q] * colour
-                inverse += share[q] * known.inverse[node[q], c]
-                gx += slope[q, 0] * colour
-                gy += slope[q, 1] * colour
-                gz += slope[q, 2] * colour
-            residual = (rays.colours[i, c] - mean) * inverse
-            loss, weight = robust_loss(residual, known.scale, 1.0)
-            cost += loss
-            # Where the ray meets the flesh slides over it as the flesh moves.
-            slide = (gx * u[0] + gy * u[1] + gz * u[2]) / cosine
-            gx, gy, gz = (
-                inverse * (gx - slide * n[0]),
-                inverse * (gy - slide * n[1]),
-                inverse * (gz - slide * n[2]),
-            )
-            pull = (
-                gx * world[0, 0] + gy * world[1, 0] + gz * world[2, 0],
-                gx * world[0, 1] + gy * world[1, 1] + gz * world[2, 1],
-                gx * world[0, 2] + gy * world[1, 2] + gz * world[2, 2],
-            )
-            add_pull(place, pull, residual, weight, cones.joint[k], pulls)
-    spread_pulls(pulls, body, posed.t, posed.axes, H, g)
+    for c in range(seen.shape[0]):
+        R, width = crops.R[c], crops.shape[c, 1]
+        for i in range(seen.shape[1]):
+            if not seen[c, i] or known.inverse[i, 0] == 0.0:
+                continue
+            x, y, z = _in_camera(crops, c, points[i, 0], points[i, 1], points[i, 2])
+            column, row, a, b = _cell(crops, c, x, y, z)
+            if column < 0:
+                cost += most
+                continue
+            pixel = crops.first[c] + row * width + column
+            place = (points[i, 0], points[i, 1], points[i, 2])
+            for k in range(3):
+                colour, du, dv = _colour(crops.colours, pixel, width, a, b, k)
+                inverse = known.inverse[i, k]
+                residual = (colour - known.mean[i, k]) * inverse
+                loss, weight = robust_loss(residual, known.scale, 1.0)
+                cost += loss
+                du *= inverse * crops.focal[c, 0] / z
+                dv *= inverse * crops.focal[c, 1] / z
+                dz = -(du * x + dv * y) / z
+                pull = (
+                    du * R[0, 0] + dv * R[1, 0] + dz * R[2, 0],
+                    du * R[0, 1] + dv * R[1, 1] + dz * R[2, 1],
+                    du * R[0, 2] + dv * R[1, 2] + dz * R[2, 2],
+                )
+                add_pull(place, pull, residual, weight, places.joint[i], pulls)
+    spread_pulls(pulls, body, t, axes, H, g)
     return cost

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.arrays import Array, Mask
+from mocap.arrays import Array, Image, Mask
 from mocap.body.flesh import LookUpTable
 from mocap.body.kinematics import cones_of, distance_of_lines
 from mocap.body.model import Body
@@ -94,6 +94,12 @@ class PinholeView:
         if self.source is None:
             return image[wanted]
         return image.ravel().take(self.source[wanted]) & self.inside[wanted].view(np.uint8)
+
+    def picture(self, image: Image, window: tuple[slice, slice]) -> tuple[Image, Mask]:
+        """A window of a picture (H, W, 3) as the pinhole sees it, and which of its pixels the real picture covers."""
+        if self.source is None:
+            return image[window], self.inside[window]
+        return image.reshape(-1, 3).take(self.source[window], axis=0), self.inside[window]
 
 
 def pinhole_view(camera: Camera) -> PinholeView:

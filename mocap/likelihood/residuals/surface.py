@@ -116,7 +116,10 @@ def hull_surface(
 
 @lru_cache(maxsize=64)
 def flesh_sample(table: LookUpTable, n: int) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """About n surface points of the flesh, evenly spread: (M, 3) m in joint frames, their joints and parts (M,)."""
+    """About n surface points of the flesh, evenly spread: (M, 3) m in joint frames, their joints and parts (M,).
+
+    Kept and shared: not to be written to.
+    """
     rows = np.concatenate([a + np.arange(k) for a, k in zip(table.start[:-1], table.n_surface, strict=True)])
     joints = np.repeat(table.joint, table.n_surface)
     parts = np.repeat(table.part, table.n_surface)

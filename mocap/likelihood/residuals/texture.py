@@ -1,7 +1,8 @@
-"""Texture: the colours of every place of a person's surface, learnt over a clip, as residuals of a pose.
+"""Texture: the colours of many places of a person's surface, learnt over a clip, as residuals of a pose.
 
-Where a sleeve ends, where hem and hairline lie, a pose that is off by a centimetre shows another colour. Neither hull
-nor outlines tell how a trunk turns inside its silhouette, nor where along its length a limb is.
+Where a sleeve ends, where hem and hairline lie, a pose that is off by a centimetre shows another colour; and a place
+that has slid off its limb shows the trunk behind it, or the room. Neither hull nor outlines tell how a trunk turns
+inside its silhouette, nor where along its length a limb is.
 """
 
 from __future__ import annotations
@@ -9,121 +10,224 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from scipy.ndimage import convolve1d
+from numpy.typing import NDArray
 
-from mocap.arrays import Array
+from mocap.arrays import Array, Image, Mask
+from mocap.body.flesh import LookUpTable, cone_distances
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
-from mocap.likelihood.colours import PixelRays, luma_and_chroma
+from mocap.geometry._pixel_kernels import extent_of, pixels_of_points
+from mocap.likelihood.colours import luma_and_chroma
 from mocap.likelihood.residuals._texture_kernels import (
-    Lattice,
-    SeenRays,
+    Crops,
+    Places,
     TextureTerms,
-    learn_texture,
+    count_colours,
+    see_places,
     texture_equations,
 )
+from mocap.likelihood.residuals.outlines import PinholeView
+from mocap.likelihood.residuals.surface import flesh_sample
 
-_SMALL = 1e-9
+_MAD = 1.4826  # a normal deviation by the median of what differs
 
 
 @dataclass(frozen=True)
 class TextureSettings:
-    """How the surface is divided, and what is believed of its colours."""
+    """Which places of the surface, and what is believed of their colours."""
 
-    spacing_m: float = 0.02
-    """Between nodes, along a cone and about it."""
-    least_std: tuple[float, float, float] = (8.0, 3.0, 3.0)
+    n_places: int = 1500
+    """On the whole flesh, about 4 cm apart."""
+    blur_m: float = 0.01
+    """Deviation by which pictures are smoothed, at the person: from as far a pose is drawn to where a colour fits."""
+    margin_m: float = 0.2
+    """What of a picture is kept around a person's hull."""
+    apart_m: float = 0.05
+    """A pixel so near to another person's hull may show him."""
+    least_std: tuple[float, float, float] = (6.0, 2.5, 2.5)
     """What luma and the two chromas of a place vary by at least, of 255."""
-    least_pixels: float = 6.0
-    """A node that fewer pixels have shown is not known."""
+    least_seen: int = 10
+    """A place that was seen less often is not known."""
     least_cosine: float = 0.35
-    """Rays that graze the flesh say nothing: the rim of a cone is not that of the person."""
-    scale: float = 2.5
-    """Deviations at which a pixel loses three quarters of its pull (Geman-McClure)."""
-    gate: float = 3.0
-    """Deviations beyond which a pixel shows something else, when the colours are learnt for the second time."""
-    soft: float = 0.5
-    """What the neighbours of a node on each side count in its colour, against 1 of its own."""
+    """Of the angle between normal and ray: the rim of a cone is not that of the person."""
+    slack_m: float = 0.04
+    """Flesh that lies so little before a place does not hide it."""
+    scale: float = 4.0
+    """Deviations at which a colour loses three quarters of its pull (Geman-McClure)."""
 
 
-def lattice_of(body: Body, spacing_m: float) -> Lattice:
-    """Nodes on the flesh of a body, about `spacing_m` apart."""
-    cones = body.cones
-    along = cones.end - cones.start
-    length = np.linalg.norm(along, axis=1)
-    axes = np.empty((len(length), 3, 3))
-    for k, direction in enumerate(along):
-        first = direction / length[k] if length[k] > 0 else np.array([0.0, 0.0, 1.0])
-        second = np.cross(first, np.eye(3)[int(np.abs(first).argmin())])
-        second /= np.linalg.norm(second)
-        axes[k] = first, second, np.cross(first, second)
-    n_along = np.maximum(2, np.rint((length + cones.radii.sum(axis=1)) / spacing_m).astype(np.int64) + 1)
-    n_about = np.maximum(4, np.rint(2.0 * np.pi * cones.radii.mean(axis=1) / spacing_m).astype(np.int64))
-    first_node = np.cumsum(n_along * n_about) - n_along * n_about
-    return Lattice(axes, length, np.stack([n_along, n_about], axis=1), first_node)
+def places_of(body: Body, table: LookUpTable, n: int) -> Places:
+    """About n places on the flesh, evenly spread, with its normals.
+
+    Points of the table stand on a lattice: each is moved onto the cone that it is nearest to.
+    """
+    lattice, joint, _ = flesh_sample(table, n)
+    points = lattice.copy()
+    cones, normals = body.cones, np.zeros_like(points)
+    for j in np.unique(joint):
+        own, at = np.flatnonzero(cones.joint == j), np.flatnonzero(joint == j)
+        start, end, radii = cones.start[own], cones.end[own], cones.radii[own]
+        k = np.abs(cone_distances(points[at], start, end, radii, True)).argmin(axis=1)
+        along = (end - start)[k]
+        share = ((points[at] - start[k]) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12)
+        share = np.clip(share, 0.0, 1.0)[:, None]
+        axis = start[k] + share * along
+        away = points[at] - axis
+        normals[at] = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        points[at] = axis + (radii[k, :1] + share * (radii[k, 1:] - radii[k, :1])) * normals[at]
+    return Places(np.ascontiguousarray(points), normals, np.ascontiguousarray(joint))
 
 
-def _seen(rays: PixelRays) -> SeenRays:
-    return SeenRays(rays.columns, luma_and_chroma(rays.rgb))
+def person_crops(
+    views: Sequence[PinholeView],
+    pictures: Sequence[Image],
+    hull_points: Array,
+    other_points: Array,
+    *,
+    is_used: Sequence[bool] | NDArray[np.bool_],
+    hidden: Sequence[Mask | None],
+    settings: TextureSettings | None = None,
+) -> Crops:
+    """What cameras show around one person.
+
+    pictures : (H, W, 3) RGB, one per camera.  hull_points : (N, 3) m, surface of the person's hull.  other_points :
+    (K, 3) m, of the other persons': pixels near theirs are not clear, for who stands in front is not known here.
+    is_used : cameras that can be trusted.  hidden : per camera (H, W) bool, pixels in which something stands before the
+    person, or None.
+    """
+    numbers = settings or TextureSettings()
+    n = len(views)
+    colours, clear = [np.zeros((0, 3), dtype=np.uint8)], [np.zeros(0, dtype=np.bool_)]
+    first, shape = np.zeros(n, dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
+    focal, middle = np.ones((n, 2)), np.zeros((n, 2))
+    filled = 0
+    for c, view in enumerate(views):
+        camera = view.camera
+        pixels = pixels_of_points(hull_points, camera.R, camera.t, camera.K, *camera.size)
+        if not is_used[c] or not len(pixels):
+            continue
+        depth_m = float(np.median(hull_points @ camera.R[2] + camera.t[2]))
+        px_per_m = camera.K[0, 0] / depth_m
+        margin = int(np.ceil(numbers.margin_m * px_per_m))
+        least, most = extent_of(pixels)
+        low, high = np.maximum(least - margin, 0), np.minimum(most + margin + 1, camera.size)
+        window = slice(low[1], high[1]), slice(low[0], high[0])
+        crop, inside = view.picture(pictures[c], window)
+        behind = hidden[c]
+        if behind is not None:
+            inside = inside & (view.undistort(behind, window) == 0)
+        if len(other_points):
+            inside = inside & ~_near(camera.size, other_points, view, window, numbers.apart_m * px_per_m)
+        rows, columns = inside.shape
+        seen = luma_and_chroma(crop.reshape(-1, 3)).reshape(rows, columns, 3)
+        smooth = cv2.GaussianBlur(seen, (0, 0), numbers.blur_m * px_per_m)
+        colours.append(np.asarray(smooth, dtype=np.uint8).reshape(-1, 3))
+        clear.append(inside.ravel())
+        first[c], shape[c] = filled, (rows, columns)
+        focal[c], middle[c] = np.diag(camera.K)[:2], camera.K[:2, 2] - low
+        filled += rows * columns
+    return Crops(
+        np.concatenate(colours),
+        np.concatenate(clear),
+        first,
+        shape,
+        np.stack([view.camera.R for view in views]),
+        np.stack([view.camera.t for view in views]),
+        focal,
+        middle,
+    )
+
+
+def _near(
+    size: tuple[int, int], points: Array, view: PinholeView, window: tuple[slice, slice], reach_px: float
+) -> Mask:
+    """Pixels of a window that lie within a reach of projected points (K, 3) m."""
+    camera = view.camera
+    pixels = pixels_of_points(points, camera.R, camera.t, camera.K, *size)
+    marked = np.zeros(size[::-1], dtype=np.uint8)
+    marked[pixels[:, 1], pixels[:, 0]] = 1
+    side = 2 * int(np.ceil(reach_px)) + 1
+    return np.asarray(cv2.dilate(marked, np.ones((side, side), dtype=np.uint8))[window], dtype=np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """What is known of the colours of a person's surface."""
+    """What is known of the colours of a person's surface: of places of his body."""
 
     body: Body
+    places: Places
     terms: TextureTerms
+    settings: TextureSettings
 
 
-def learnt_texture(
-    body: Body, frames: Sequence[tuple[PixelRays, Array]], settings: TextureSettings | None = None
-) -> Texture:
-    """The texture that frames teach, each with the rays through its pixels and its pose (D,).
+@dataclass(frozen=True, eq=False)
+class ColourCounts:
+    """How often places of a body were seen in which colour.  counts : (M, 3, 256)."""
 
-    Twice: what differs too much from what was learnt first is something else, an arm before the trunk for instance.
-    """
-    numbers = settings or TextureSettings()
-    lattice = lattice_of(body, numbers.spacing_m)
-    n_nodes = int(lattice.shape.prod(axis=1).sum())
-    seen = [(_seen(rays), np.ascontiguousarray(state, dtype=np.float64)) for rays, state in frames]
-    unknown = np.zeros((n_nodes, 3))
-    terms = TextureTerms(lattice, unknown, unknown, numbers.least_cosine, numbers.scale)
-    for _ in range(2):
-        sums = np.zeros(n_nodes), np.zeros((n_nodes, 3)), np.zeros((n_nodes, 3))
-        for rays, state in seen:
-            learn_texture(state, body.arrays, rays, terms, numbers.gate, *sums)
-        terms = _known(lattice, *sums, numbers)
-    return Texture(body, terms)
+    body: Body
+    places: Places
+    counts: NDArray[np.int64]
+    settings: TextureSettings
+
+    def see(self, crops: Crops, state: Array) -> None:
+        """Count what a frame's crops show under a pose (D,)."""
+        x = np.ascontiguousarray(state, dtype=np.float64)
+        seen = _seen(self.body, self.places, crops, x, self.settings)
+        count_colours(x, self.body.arrays, self.places, crops, seen, self.counts)
+
+    @property
+    def texture(self) -> Texture:
+        """The median colour of every place and how far colours usually differ from it: what is seen by mistake, an arm
+        before the trunk for instance, has no say."""
+        n, numbers = self.counts[:, 0].sum(axis=1), self.settings
+        median = _medians(self.counts)
+        levels = np.arange(256)
+        # How often a colour lies 0, 1, .. levels from the median: those above and those below.
+        off = np.zeros_like(self.counts)
+        for sign in (1, -1):
+            at = median[..., None] + sign * levels
+            if sign < 0:
+                at[..., 0] = -1  # 0 levels off counts once
+            inside = (at >= 0) & (at < 256)
+            off += np.where(inside, np.take_along_axis(self.counts, np.clip(at, 0, 255), axis=2), 0)
+        variance = (_MAD * _medians(off)) ** 2 + np.square(numbers.least_std)
+        inverse = np.where((n >= numbers.least_seen)[:, None], 1.0 / np.sqrt(variance), 0.0)
+        terms = TextureTerms(median.astype(np.float64), inverse, numbers.scale)
+        return Texture(self.body, self.places, terms, numbers)
 
 
-def _known(
-    lattice: Lattice, weight: Array, total: Array, square: Array, settings: TextureSettings
-) -> TextureTerms:
-    """Colours and deviations of the nodes from sums of shares (N,), colours and their squares (N, 3)."""
-    sums = np.concatenate([weight[:, None], total, square], axis=1)
-    kernel = np.array([settings.soft, 1.0, settings.soft]) / (1.0 + 2.0 * settings.soft)
-    for (n_along, n_about), first in zip(lattice.shape, lattice.first, strict=True):
-        own = sums[first : first + n_along * n_about].reshape(n_along, n_about, -1)
-        own[:] = convolve1d(convolve1d(own, kernel, axis=0, mode="nearest"), kernel, axis=1, mode="wrap")
-    share = np.maximum(sums[:, :1], _SMALL)
-    mean = sums[:, 1:4] / share
-    variance = np.maximum(sums[:, 4:] / share - mean**2, 0.0) + np.square(settings.least_std)
-    is_known = sums[:, :1] >= settings.least_pixels
-    inverse = np.where(is_known, 1.0 / np.sqrt(variance), 0.0)
-    return TextureTerms(lattice, mean, inverse, settings.least_cosine, settings.scale)
+def _medians(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Medians (M, 3) of what is counted (M, 3, 256), the lower of two."""
+    total = counts.cumsum(axis=2)
+    return np.asarray((2 * total >= total[..., -1:]).argmax(axis=2))
+
+
+def _seen(body: Body, places: Places, crops: Crops, state: Array, settings: TextureSettings) -> Mask:
+    seen = np.zeros((len(crops.first), len(places.joint)), dtype=np.bool_)
+    see_places(state, body.arrays, places, crops, settings.least_cosine, settings.slack_m, seen)
+    return seen
 
 
 @dataclass(frozen=True, eq=False)
 class TextureProblem:
-    """The colours of one frame's pixels against the texture: `normal_equations(state)` for a refinement.
+    """The colours that one frame shows where places of a body lie: `normal_equations(state)` for a refinement.
 
-    weight : nats per mean squared deviation, half of them, of a pixel.
+    seen : (C, M) which places which cameras see, held while the pose moves.  weight : nats per mean squared deviation,
+    half of them, of a colour.
     """
 
     texture: Texture
-    rays: PixelRays
+    crops: Crops
+    seen: Mask
     weight: float = 1.0
+
+    @classmethod
+    def about(cls, texture: Texture, crops: Crops, state: Array, weight: float = 1.0) -> TextureProblem:
+        """Of what is seen under a state (D,)."""
+        x = np.ascontiguousarray(state, dtype=np.float64)
+        return cls(texture, crops, _seen(texture.body, texture.places, crops, x, texture.settings), weight)
 
     @property
     def layout(self) -> StateLayout:
@@ -132,13 +236,12 @@ class TextureProblem:
     def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
         """Robust cost, nats, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,).
 
-        Deviations are held, as weights of a reweighted fit are. A pixel whose place on the body is not known costs
-        nothing and pulls nowhere.
+        A place whose colour is not known costs nothing and pulls nowhere.
         """
         D = self.layout.n_columns
         H, g = np.zeros((D, D)), np.zeros(D)
         x = np.ascontiguousarray(state, dtype=np.float64)
-        body, terms = self.texture.body, self.texture.terms
-        cost = texture_equations(x, body.arrays, _seen(self.rays), terms, H, g)
-        share = self.weight / max(len(self.rays), 1)
+        own = self.texture
+        cost = texture_equations(x, own.body.arrays, own.places, self.crops, self.seen, own.terms, H, g)
+        share = self.weight / max(int(self.seen.sum()), 1)
         return share * float(cost), share * H, share * g

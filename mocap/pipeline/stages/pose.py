@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.arrays import Mask
+from mocap.arrays import Image, Mask
 from mocap.body import Body
 from mocap.body.initial import HeightEstimate
 from mocap.body.model import load_body_model
@@ -21,9 +21,17 @@ from mocap.data import n_judges as judges_of
 from mocap.data.keypoints import NOBODY
 from mocap.forks import can_fork
 from mocap.io.session import Session
+from mocap.io.session.reading import pictures_of
 from mocap.io.store import StageStore
 from mocap.likelihood.colours import PixelRays, person_rays
-from mocap.likelihood.residuals import OutlineFitSettings, Outlines, person_outlines, pinhole_view
+from mocap.likelihood.residuals import (
+    Crops,
+    OutlineFitSettings,
+    Outlines,
+    person_crops,
+    person_outlines,
+    pinhole_view,
+)
 from mocap.pipeline.edits.followed import solve_persons
 from mocap.pipeline.pose_settings import make_tools, pose_settings, stated_height_m
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
@@ -168,8 +176,11 @@ class PoseWork:
                 else estimate_height(grid, hull_of, own.frame.tolist())
             )
             tools = self.tools(height.height_m, n_of_person)
+            observation = self.observation_of(tools, hull_of, person)
+            if session.image_sources:
+                observation = replace(observation, pictures_of=partial(pictures_of, session))
             return follow_frames(
-                VolumeClip(person, own.frame, own.xyz, self.observation_of(tools, hull_of, person)),
+                VolumeClip(person, own.frame, own.xyz, observation),
                 height,
                 seed=self.job.seed,
                 is_size_fitted=given is None and config.body.sizing == "poses" and config.pose.refine,
@@ -282,6 +293,17 @@ class PersonViews:
                 rig, pixels_from_arrays(arrays), surface, grid.centers(others.astype(np.int32))
             )
 
+        def crops(pictures: Sequence[Image]) -> Crops:
+            surface = grid.centers(voxels[is_surface])
+            return person_crops(
+                self._views,
+                pictures,
+                surface,
+                grid.centers(others.astype(np.int32)),
+                is_used=arrays["used"].astype(np.bool_),
+                hidden=[occluders.hidden_pixels(camera, surface) for camera in rig],
+            )
+
         used = [name for name, is_used in zip(rig.names, arrays["used"], strict=True) if is_used]
         n_judges = partial(judges_of, rig.subset(used), occluders=occluders)
         measured = measured_from_arrays(arrays)
@@ -290,6 +312,7 @@ class PersonViews:
             is_surface,
             outlines,
             rays,
+            crops,
             unknown,
             n_judges,
             not occluders.is_empty,
