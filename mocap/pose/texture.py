@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,8 @@ def settle_on_texture(clip: PersonClip, series: FrameSeries) -> None:
     tools = observation.tools
     weight, method = tools.settings.texture_weight, tools.settings.method
     texture = _texture_of(clip, observation, series)
+    # The colours of limbs have had their say.
+    observation = observation.with_tools(replace(tools, settings=replace(tools.settings, colour_weight=0.0)))
 
     def settle(rows: Indices, half: int) -> None:
         for row, crops in _crops(clip, observation, rows):

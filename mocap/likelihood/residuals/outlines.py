@@ -97,9 +97,18 @@ class PinholeView:
 
     def picture(self, image: Image, window: tuple[slice, slice]) -> tuple[Image, Mask]:
         """A window of a picture (H, W, 3) as the pinhole sees it, and which of its pixels the real picture covers."""
-        if self.source is None:
+        if self._places is None:
             return image[window], self.inside[window]
-        return image.reshape(-1, 3).take(self.source[window], axis=0), self.inside[window]
+        shown = cv2.remap(image, self._places[window], None, cv2.INTER_NEAREST)
+        return np.asarray(shown, dtype=np.uint8), self.inside[window]
+
+    @cached_property
+    def _places(self) -> NDArray[np.int16] | None:
+        """`source` as columns and rows, (H, W, 2)."""
+        if self.source is None:
+            return None
+        row, column = np.divmod(self.source, self.source.shape[1])
+        return np.stack([column, row], axis=-1).astype(np.int16)
 
 
 def pinhole_view(camera: Camera) -> PinholeView:
