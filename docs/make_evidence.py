@@ -2,7 +2,7 @@
 
     python -m docs.make_evidence
 
-The numbers are those of eval/results/evidence.csv (`python -m eval.evidence`).
+The numbers are those of eval/results/evidence.csv (`python -m eval.evidence`), means over its seeds.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from eval.evidence import RESULTS
+from mocap.arrays import Array
 from mocap.view.plotting import LINE_COLOURS, LINE_STYLES, finish, new_figure, png
 
 HERE = Path(__file__).parent
@@ -24,6 +25,7 @@ WORDS = {
     "keypoints": "keypoints alone",
     "volumes": "volumes alone",
     "fused": "volumes and keypoints",
+    "fused_depth": "and depth of one",
 }
 METHODS = tuple(WORDS)
 TITLES = {
@@ -33,7 +35,9 @@ TITLES = {
     "no_empty_clip": "no empty clip",
     "two_persons": "two persons",
 }
+RAW, AFTER = "mean_error_mm", "mean_error_after_offset_mm"
 Row = dict[str, str]
+Cell = tuple[Row, ...]  # the seeds of a session, a number of cameras and a method
 
 
 def rows() -> list[Row]:
@@ -42,26 +46,71 @@ def rows() -> list[Row]:
         return list(csv.DictReader(stream))
 
 
+def cells(found: Sequence[Row]) -> dict[tuple[str, int], dict[str, Cell]]:
+    """Session and number of cameras -> method -> its rows."""
+    out: dict[tuple[str, int], dict[str, Cell]] = {}
+    for row in found:
+        own = out.setdefault((row["session"], int(row["cameras"])), {})
+        own[row["method"]] = (*own.get(row["method"], ()), row)
+    return out
+
+
+def errors(cell: Cell, field: str) -> Array:
+    """Errors of the seeds in which somebody was found, mm."""
+    return np.array([float(row[field]) for row in cell if row[field]])
+
+
 def errors_table(found: Sequence[Row]) -> str:
-    """Raw errors, in brackets after offsets, and how many persons were found where one was not."""
+    """Raw errors with their range, in brackets after offsets, and how many persons were found where one was not."""
     lines = [
         f"| session | cameras | {' | '.join(WORDS[m] for m in METHODS)} |",
         "|---|---" + "|---" * len(METHODS) + "|",
     ]
-    for session, cameras in dict.fromkeys((r["session"], int(r["cameras"])) for r in found):
-        own = {r["method"]: r for r in found if (r["session"], int(r["cameras"])) == (session, cameras)}
-        most = max(int(r["found"]) for r in own.values())
-        cells = [_cell(own[m], most) if m in own else "" for m in METHODS]
-        lines.append(f"| {TITLES[session]} | {cameras} | {' | '.join(cells)} |")
+    for (session, cameras), own in cells(found).items():
+        most = max(int(r["found"]) for cell in own.values() for r in cell)
+        texts = [_cell(own[m], most) if m in own else "" for m in METHODS]
+        lines.append(f"| {TITLES[session]} | {cameras} | {' | '.join(texts)} |")
     return "\n".join(lines)
 
 
-def _cell(row: Row, n_persons: int) -> str:
-    if not int(row["found"]):
+def _cell(cell: Cell, n_persons: int) -> str:
+    raw, after = errors(cell, RAW), errors(cell, AFTER)
+    if not len(raw):
         return "nobody found"
-    raw, after = float(row["mean_error_mm"]), float(row["mean_error_after_offset_mm"])
-    missing = "" if int(row["found"]) == n_persons else f", {row['found']} of {n_persons} found"
-    return f"{raw:.1f} ({after:.1f}), {float(row['mmta_percent']):.0f} %{missing}"
+    n_missed = sum(n_persons - int(row["found"]) for row in cell)
+    missed = f", {n_missed} of {n_persons * len(cell)} not found" if n_missed else ""
+    share = np.mean([float(row["mmta_percent"]) for row in cell])
+    span = f", {raw.min():.0f} to {raw.max():.0f}" if len(raw) > 1 else ""
+    return f"{raw.mean():.1f} ({after.mean():.1f}){span}; {share:.0f} %{missed}"
+
+
+def gains_table(found: Sequence[Row]) -> str:
+    """How the error changes from one kind of evidence to another, %, over the seeds in which both find as many."""
+    pairs = (
+        ("keypoints", "triangulation"),
+        ("fused", "keypoints"),
+        ("fused", "volumes"),
+        ("fused_depth", "fused"),
+    )
+    lines = [
+        "| session | cameras | " + " | ".join(f"{WORDS[a]} for {WORDS[b]}" for a, b in pairs) + " |",
+        "|---|---" + "|---" * len(pairs) + "|",
+    ]
+    for (session, cameras), own in cells(found).items():
+        texts = [_gain(own.get(a, ()), own.get(b, ())) for a, b in pairs]
+        lines.append(f"| {TITLES[session]} | {cameras} | {' | '.join(texts)} |")
+    return "\n".join(lines)
+
+
+def _gain(new: Cell, old: Cell) -> str:
+    both = [(a, b) for a, b in zip(new, old, strict=False) if a["found"] == b["found"] and a[RAW] and b[RAW]]
+    if not both:
+        return ""
+    raw, after = (
+        100 * (sum(float(a[f]) for a, _ in both) / sum(float(b[f]) for _, b in both) - 1)
+        for f in (RAW, AFTER)
+    )
+    return f"{raw:+.0f} ({after:+.0f}) %"
 
 
 def times_table(found: Sequence[Row]) -> str:
@@ -83,7 +132,8 @@ def times_table(found: Sequence[Row]) -> str:
 
 def written(page: str, found: Sequence[Row]) -> str:
     """The page with both tables in their places."""
-    for name, table in (("errors", errors_table(found)), ("times", times_table(found))):
+    tables = (("errors", errors_table(found)), ("gains", gains_table(found)), ("times", times_table(found)))
+    for name, table in tables:
         begin, end = BEGIN.format(name), END.format(name)
         before, _, rest = page.partition(begin)
         page = f"{before}{begin}{table}\n{end}{rest.partition(end)[2]}"
@@ -91,21 +141,23 @@ def written(page: str, found: Sequence[Row]) -> str:
 
 
 def draw(found: Sequence[Row]) -> bytes:
-    """Errors over cameras, a panel for each session."""
-    sessions = list(dict.fromkeys(r["session"] for r in found))
+    """Errors over cameras, a panel for each session; the mean over seeds, and their range as a bar."""
+    by_case = cells(found)
+    sessions = list(dict.fromkeys(session for session, _ in by_case))
     n_columns = 3
     figure, panels = new_figure(-(-len(sessions) // n_columns), height=1.7, width=8.2, n_columns=n_columns)
     for ax in panels[len(sessions) :]:
         ax.axis("off")
     for k, (ax, session) in enumerate(zip(panels, sessions, strict=False)):
         for i, method in enumerate(METHODS):
-            own = [
-                r for r in found if (r["session"], r["method"]) == (session, method) and r["mean_error_mm"]
-            ]
-            x, y = [int(r["cameras"]) for r in own], [float(r["mean_error_mm"]) for r in own]
-            if own:
-                ax.plot(x, y, LINE_STYLES[i % len(LINE_STYLES)], marker="o", ms=3, lw=1.3,
-                        color=LINE_COLOURS[i], label=WORDS[method])  # fmt: skip
+            own = {n: errors(case.get(method, ()), RAW) for (s, n), case in by_case.items() if s == session}
+            x = np.array([n for n, raw in own.items() if len(raw)])
+            y = np.array([(raw.mean(), raw.min(), raw.max()) for raw in own.values() if len(raw)]).T
+            if len(x):
+                # Methods beside each other, so that their bars can be told apart.
+                ax.errorbar(x + 0.08 * (i - 2), y[0], yerr=(y[0] - y[1], y[2] - y[0]),
+                            ls=LINE_STYLES[i % len(LINE_STYLES)], marker="o", ms=3, lw=1.3, elinewidth=0.8,
+                            color=LINE_COLOURS[i], label=WORDS[method])  # fmt: skip
         ax.set_yscale("log")
         ticks = [10, 15, 20, 30, 50, 100, 200]
         low, high = ax.get_ylim()

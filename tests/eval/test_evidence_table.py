@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from docs import make_evidence
-from eval.evidence import RESULTS, ROOT, TABLES, scores
+from eval.evidence import N_SEEDS, RESULTS, ROOT, TABLES, scores
 from eval.evidence_scenes import SCENES, scene_of
 from eval.triangulation import landmarks_of_points
 from mocap.data import LANDMARKS, Motion
@@ -58,8 +58,8 @@ def test_landmarks_that_no_tool_names_are_midpoints() -> None:
 
 def test_tables_have_every_scene_by_cameras_and_method() -> None:
     table = TABLES["evidence.csv"]
-    assert len(set(table)) == len(table) == 5 * 4 * 4
-    assert {c.session for c in table if c.method == "fused"} == set(SCENES)
+    assert len(set(table)) == len(table) == 5 * 4 * 5 * N_SEEDS
+    assert {c.session for c in table if c.method == "fused_depth"} == set(SCENES)
     assert {c.cameras for c in TABLES["keypoints.csv"] if c.session == "room"} == {2, 3, 4, 5}
     assert not any(c.method == "fused_depth" for c in TABLES["keypoints_fused.csv"])
 
@@ -78,6 +78,30 @@ def seeds_of(scene: dict[str, Any]) -> list[int]:
 def test_the_page_says_what_the_table_of_scenes_says() -> None:
     page = make_evidence.PAGE.read_text(encoding="utf-8")
     assert make_evidence.written(page, make_evidence.rows()) == page
+
+
+def row(method: str, seed: int, raw: float | None, found: int = 1) -> dict[str, str]:
+    errors = {
+        f: "" if raw is None else str(raw * k)
+        for f, k in ((make_evidence.RAW, 1), (make_evidence.AFTER, 0.5))
+    }
+    share = "0" if raw is None else "90"
+    return {"session": "clean", "cameras": "2", "method": method, "seed": str(seed)} | errors | {
+        "found": str(found), "mmta_percent": share
+    }  # fmt: skip
+
+
+def test_cells_are_means_over_seeds_with_their_range_and_say_who_was_not_found() -> None:
+    found = [row("volumes", 0, 20.0), row("volumes", 1, 30.0), row("volumes", 2, None, 0)]
+    found += [row("fused", seed, raw) for seed, raw in enumerate((10.0, 15.0, 99.0))]
+    found += [row("keypoints", seed, None, 0) for seed in range(3)]
+    cell = make_evidence.errors_table(found).splitlines()[-1].split(" | ")
+    assert cell[3] == "nobody found"
+    assert cell[4] == "25.0 (12.5), 20 to 30; 60 %, 1 of 3 not found"
+    # Only of the seeds in which both find somebody: 25 becomes 12.5.
+    gain = make_evidence.gains_table(found).splitlines()[-1].split(" | ")
+    assert gain[4] == "-50 (-50) %"
+    assert gain[3] == ""
 
 
 def test_the_page_says_what_the_table_of_volumes_with_keypoints_says() -> None:
