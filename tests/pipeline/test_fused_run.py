@@ -14,7 +14,7 @@ from keypoint_world import keypoint_world, write_keypoint_session
 
 from mocap.body.markers import marker_positions
 from mocap.data.keypoints import KEYPOINTS, Figures
-from mocap.io.session import open_session
+from mocap.io.session import check_session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
@@ -145,3 +145,13 @@ def test_cameras_are_judged_by_every_frame(
     monkeypatch.setattr(ConsistencyMonitor, "add", noted)
     run(session, tmp_path / "out", kind)
     assert judged[:N_FRAMES] == list(range(N_FRAMES))
+
+
+def test_of_few_cameras_coarse_volumes_are_told_where_there_are_some(session: Path, tmp_path: Path) -> None:
+    alone = write_keypoint_session(WORLD, tmp_path / "session")
+    (beside,), none = (
+        [f for f in check_session(open_session(root)) if "volumes are coarse" in f.message]
+        for root in (session, alone)
+    )
+    assert "--observation fused" in beside.remedy
+    assert none == []

@@ -69,12 +69,13 @@ def geometry(session: Session) -> list[Finding]:
                 "check that the two are not the same camera",
             )
         )
-    if len(rig) < 4:
+    if len(rig) < 4 and (session.image_sources or session.mask_sources):
+        beside = ", and keypoints beside them (--observation fused)" if session.keypoint_sources else ""
         out.append(
             Finding(
                 "warning",
                 f"with {len(rig)} cameras the volumes are coarse",
-                remedy="use four or more cameras",
+                remedy=f"use four or more cameras{beside}",
             )
         )
     return out + _common_view(session, rig, centers)
