@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 Path = tuple[str, ...]
+Measured = Mapping[Path, tuple[float, int]]
+"""Path of a part -> seconds in it but not in parts inside it, and calls."""
 
 
 class Profile:
@@ -37,9 +39,21 @@ class Profile:
             stack.pop()
             if stack:
                 stack[-1][1][0] += took
-            with self._lock:
-                self.own_s[path] = self.own_s.get(path, 0.0) + took - inside[0]
-                self.n_calls[path] = self.n_calls.get(path, 0) + 1
+            self.add({path: (took - inside[0], 1)})
+
+    def add(self, measured: Measured) -> None:
+        """What was measured elsewhere."""
+        with self._lock:
+            for path, (seconds, n) in measured.items():
+                self.own_s[path] = self.own_s.get(path, 0.0) + seconds
+                self.n_calls[path] = self.n_calls.get(path, 0) + n
+
+    def taken(self) -> Measured:
+        """What was measured since this was asked last."""
+        with self._lock:
+            found = {path: (seconds, self.n_calls[path]) for path, seconds in self.own_s.items()}
+            self.own_s, self.n_calls = {}, {}
+        return found
 
     def lines(self, n_frames: int) -> list[str]:
         """The parts as a table, the parts of each part below it, the longest first."""
@@ -83,3 +97,19 @@ def part(name: str) -> Iterator[None]:
         return
     with _listening.measured(name):
         yield
+
+
+@contextmanager
+def measured_apart() -> Iterator[Callable[[], Measured]]:
+    """For a forked process, whose parts nobody here hears of: gives what tells those since it was asked last."""
+    if _listening is None:
+        yield dict
+        return
+    with profiled() as own:
+        yield own.taken
+
+
+def heard(measured: Measured) -> None:
+    """Take over what a forked process has measured, if somebody listens."""
+    if _listening is not None:
+        _listening.add(measured)

@@ -184,3 +184,36 @@ def test_it_ignores_ctrl_c_and_ends_with_who_asks() -> None:
         process, _, _ = ask("who?")
         os.kill(process, signal.SIGINT)
         assert ask("still there?") == (process, 2, "still there?")
+
+
+@contextmanager
+def drawing() -> Iterator[Callable[[int], list[np.ndarray]]]:
+    """Answers with pictures of the number that it is asked for, of which some are large, and one lies across."""
+
+    def answer(n: int) -> list[np.ndarray]:
+        large = np.full((300, 400), n, dtype=np.uint16)
+        return [large, np.arange(n, n + 5), np.asfortranarray(large[:200]), large[::2, ::2], large > 0]
+
+    yield answer
+
+
+def test_large_arrays_come_as_they_are_and_stay_while_somebody_looks() -> None:
+    """More answers than there are places: none is written over while a part of it is in use."""
+    with answering(drawing) as ask:
+        parts = [ask(n)[0][10:20, 3] for n in range(1, 12)]
+        whole = ask(20)
+        for n, part in enumerate(parts, 1):
+            assert np.all(part == n)
+        for found, expected in zip(whole, next(_drawn(20)), strict=True):
+            np.testing.assert_array_equal(found, expected)
+            assert found.dtype == expected.dtype
+            assert found.flags.writeable
+        assert whole[2].flags.f_contiguous
+        del parts
+        assert all(np.all(ask(n)[0] == n) for n in range(30, 50))
+    assert np.all(whole[0] == 20)
+
+
+def _drawn(n: int) -> Iterator[list[np.ndarray]]:
+    with drawing() as answer:
+        yield answer(n)

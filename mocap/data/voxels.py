@@ -47,6 +47,10 @@ class VoxelGrid:
         n = np.ceil(extent / voxel_size_m - 1e-9).astype(int)
         return cls(np.asarray(lower), (int(n[0]), int(n[1]), int(n[2])), voxel_size_m)
 
+    def __reduce__(self) -> tuple[type[VoxelGrid], tuple[Array, tuple[int, int, int], float]]:
+        # Made anew where another process takes it: its origin is read-only there too, for which kernels are compiled.
+        return VoxelGrid, (self.origin, self.shape, self.voxel_size_m)
+
     @property
     def n_voxels(self) -> int:
         return self.shape[0] * self.shape[1] * self.shape[2]

@@ -112,8 +112,10 @@ class FrameWork:
     step : gives the frame with what was found in it, for the stages that walk along, and the rows that are certain by
     now, of this frame or earlier.
     finds : fields of `Seen` that a step fills in; a stage that walks along reads them from no file.
-    then : the second half of a step, which needs nothing of the state: it is at work on a frame while the first half is
-    on the next one. What it is to know is `Seen.begun`.
+    then : the second half of a step, at work on a frame while the first half is on the next one. It is shown the state
+    that the walk began with, and what it is to know of the frame is `Seen.begun`.
+    apart : the first half leaves nothing in its state that the second half or the end needs, so another process may do
+    it: what of `reads` the second half looks at. None = it does.
     """
 
     reads: Callable[[Job], Sources]
@@ -121,7 +123,8 @@ class FrameWork:
     step: Callable[[Any, Seen], tuple[Any, Seen, Sequence[Row]]]
     finish: Callable[[Any], Ending]
     finds: tuple[str, ...] = ()
-    then: Callable[[Seen], tuple[Seen, Sequence[Row]]] | None = None
+    then: Callable[[Any, Seen], tuple[Seen, Sequence[Row]]] | None = None
+    apart: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeVar
 
+from mocap.forks import answering, can_fork
 from mocap.io.store import StageWriter
 from mocap.pipeline.stage import ClipWork, Ending, FrameWork, Job, Row, Seen, Sources, Stage
-from mocap.profiling import part
-from mocap.threads import Ahead
+from mocap.profiling import Measured, heard, measured_apart, part
+from mocap.threads import Ahead, in_parallel
 
 T = TypeVar("T")
 
@@ -57,12 +59,17 @@ def run_together(stages: Sequence[tuple[Stage, Job]]) -> dict[str, float]:
         with part(first.name):
             first.work.run(job)
         return {first.name: time.perf_counter() - started}
-    with ThreadPoolExecutor(max(1, job.n_threads)) as pool:
-        walkers = [Walker(stage, replace(own, each=pool.map)) for stage, own in shown]
-        left: Sequence[Walker] = walkers
-        while left:
-            left = _walk(left)
+    each = partial(_each, job.n_threads)
+    walkers = [Walker(stage, replace(own, each=each)) for stage, own in shown]
+    left: Sequence[Walker] = walkers
+    while left:
+        left = _walk(left)
     return {walker.stage.name: walker.wall_s for walker in walkers}
+
+
+def _each(n_threads: int, job: Callable[..., T], *columns: Sequence[Any]) -> list[T]:
+    """`map` on threads of the process that asks, which may be a forked one."""
+    return in_parallel(lambda row: job(*row), list(zip(*columns, strict=False)), n_threads)
 
 
 Found = tuple[Seen, Sequence[Row]]
@@ -95,7 +102,8 @@ class Walker:
     def steps(
         self, frames: Iterable[Seen], recorder: Recorder, apart: Callable[[Iterator[Found]], Iterator[Found]]
     ) -> Iterator[Seen]:
-        """The frames in order, with what was found in them.  apart : has what it is given made on another thread."""
+        """The frames in order, with what was found in them.  apart : has what it is given made on another thread, or by
+        another process."""
         n = len(self.job.session.frames)
         found = map(self._first, frames)
         for seen, rows in found if self.work.then is None else map(self._second, apart(found)):
@@ -113,7 +121,7 @@ class Walker:
         if self.work.then is None:
             return found
         with self._timed(1), part(self.stage.name):
-            seen, rows = self.work.then(found[0])
+            seen, rows = self.work.then(self.state, found[0])
         return replace(seen, begun=None), (*found[1], *rows)
 
     @contextmanager
@@ -165,14 +173,19 @@ class Recorder:
 
 def _walk(walkers: Sequence[Walker]) -> Sequence[Walker]:
     """One walk over all frames, and word of those that are done; gives the others, which have to walk again."""
-    again = _once(walkers)
+    try:
+        again = _once(walkers, may_fork=True)
+    except ChildProcessError:  # it was killed, for its memory perhaps
+        for walker in walkers:
+            walker.start()
+        again = _once(walkers, may_fork=False)
     for walker in walkers[: len(walkers) - len(again)]:
         n = len(walker.job.session.frames)
         walker.job.progress(walker.stage.name, n, n)
     return again
 
 
-def _once(walkers: Sequence[Walker]) -> Sequence[Walker]:
+def _once(walkers: Sequence[Walker], *, may_fork: bool) -> Sequence[Walker]:
     """One walk over all frames; gives those that have to walk again, each with its new state."""
     with ExitStack() as stack:
         thread = stack.enter_context(ThreadPoolExecutor(1)) if walkers[0].job.n_threads > 1 else None
@@ -181,7 +194,7 @@ def _once(walkers: Sequence[Walker]) -> Sequence[Walker]:
             for walker in walkers
         ]
         with ExitStack() as streams:
-            _go(walkers, recorders, streams)
+            _go(walkers, recorders, streams, may_fork=may_fork)
         for k, walker in enumerate(walkers):
             ending = walker.work.finish(walker.state)
             if ending.again is None:
@@ -194,31 +207,70 @@ def _once(walkers: Sequence[Walker]) -> Sequence[Walker]:
     return ()
 
 
-def _go(walkers: Sequence[Walker], recorders: Sequence[Recorder], streams: ExitStack) -> None:
-    """Every frame through the hands of all walkers, each half of a step on a thread of its own where there are some."""
+def _go(
+    walkers: Sequence[Walker], recorders: Sequence[Recorder], streams: ExitStack, *, may_fork: bool
+) -> None:
+    """Every frame through the hands of all walkers, each half of a step on a thread of its own where there are some.
 
-    def apart(stream: Iterator[T]) -> Iterator[T]:
-        if walkers[0].job.n_threads == 1:
-            return stream
-        return streams.enter_context(Ahead(stream, _AHEAD_FRAMES))
+    The very first half has a process of its own where that can be: an interpreter runs one thread at a time.
+    """
+    first, n_threads = walkers[0], walkers[0].job.n_threads
+    reads = [walker.work.reads(walker.job) for walker in walkers]
+    apart = first.work.apart if may_fork and n_threads > 1 and can_fork() else None
+    n_left = n_threads if apart is None else n_threads - 1
 
-    stream: Iterator[Seen] = _frames(walkers, streams)
+    def on_thread(stream: Iterator[T]) -> Iterator[T]:
+        return stream if n_left == 1 else streams.enter_context(Ahead(stream, _AHEAD_FRAMES))
+
+    def by_process(found: Iterator[Found]) -> Iterator[Found]:
+        spent = reads[0].keys() - {*(apart or ()), *(name for others in reads[1:] for name in others)}
+        ask = streams.enter_context(answering(lambda: _telling(first, found, spent)))
+        return streams.enter_context(Ahead(_told(first, ask), _AHEAD_FRAMES))
+
+    stream: Iterator[Seen] = _frames(walkers, reads, streams)
     for walker, recorder in zip(walkers, recorders, strict=True):
-        stream = walker.steps(stream if walker is walkers[0] else apart(stream), recorder, apart)
+        if walker is first:
+            stream = walker.steps(stream, recorder, on_thread if apart is None else by_process)
+        else:
+            stream = walker.steps(on_thread(stream), recorder, on_thread)
     for _ in stream:
         pass
 
 
-def _frames(walkers: Sequence[Walker], streams: ExitStack) -> Iterator[Seen]:
+Told = tuple[Found | None, float, Measured]
+"""What a forked process found in a frame, None behind the last; how long its half has worked; parts of a profile."""
+
+
+@contextmanager
+def _telling(
+    walker: Walker, found: Iterator[Found], spent: Iterable[str]
+) -> Iterator[Callable[[None], Told]]:
+    """In a forked process: tells what it finds, frame by frame.  spent : fields of `Seen` of no use from here on."""
+    leaves: dict[str, Any] = dict.fromkeys(spent)
+    less = ((replace(seen, **leaves), rows) for seen, rows in found)
+    with measured_apart() as measured:
+        yield lambda _: (next(less, None), walker.busy_s[0], measured())
+
+
+def _told(walker: Walker, ask: Callable[[None], Told]) -> Iterator[Found]:
+    """What a forked process finds."""
+    while True:
+        found, walker.busy_s[0], measured = ask(None)
+        heard(measured)
+        if found is None:
+            return
+        yield found
+
+
+def _frames(walkers: Sequence[Walker], reads: Sequence[Sources], streams: ExitStack) -> Iterator[Seen]:
     """The frames of the session in order, with what is read of them; every source is opened once.
 
     The first walker's time is that of the reading too.
     """
     sources: dict[str, Iterable[tuple[int, Any]]] = {}
     found: set[str] = set()
-    for walker in walkers:
-        reads: Sources = walker.work.reads(walker.job)
-        sources.update({name: rows for name, rows in reads.items() if name not in found | sources.keys()})
+    for walker, own in zip(walkers, reads, strict=True):
+        sources.update({name: rows for name, rows in own.items() if name not in found | sources.keys()})
         found.update(walker.work.finds)
     for source in sources.values():
         if isinstance(source, AbstractContextManager):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -14,12 +16,14 @@ import numpy as np
 import pytest
 from small_session import PLAIN, small_session
 
+from mocap.forks import can_fork
 from mocap.io.store import StageStore
 from mocap.pipeline.chains import CHAINS
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.run import run_session
 from mocap.pipeline.stage import ClipWork, Ending, FrameWork, Job, Row, Seen, Stage, StageReport, is_done
 from mocap.pipeline.walk import run_together, walks
+from mocap.profiling import profiled
 from mocap.threads import Ahead
 
 FRAMES = range(3, 15)
@@ -54,7 +58,7 @@ def toy(
         state, done, rows = step(state, seen)
         return state, replace(seen, begun=(done, rows)), ()
 
-    def then(seen: Seen) -> tuple[Seen, Sequence[Row]]:
+    def then(state: Any, seen: Seen) -> tuple[Seen, Sequence[Row]]:
         time.sleep(0.0005)
         done, rows = seen.begun
         return replace(done, begun="left over"), rows
@@ -118,6 +122,56 @@ def test_together_is_one_after_the_other(tmp_path: Path, n_threads: int, twice: 
         assert content(together.store, name)[0] == {"walk": 2 if name in twice else 1}
 
 
+def two_halves(apart: tuple[str, ...] | None, die_at: int | None = None) -> Stage:
+    """The first half doubles a mask and says which process it is; the second says whether that is its own, and which
+    fields it is shown.  die_at : frame at which another process than this one is killed."""
+    here = os.getpid()
+
+    def step(state: int, seen: Seen) -> tuple[int, Seen, Sequence[Row]]:
+        assert seen.masks is not None
+        if seen.frame == die_at and os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return state, replace(seen, masks=[2 * seen.masks[0]], begun=os.getpid()), ()
+
+    def then(state: int, seen: Seen) -> tuple[Seen, Sequence[Row]]:
+        assert seen.masks is not None
+        shown = [state, seen.begun == here, seen.pictures is not None]
+        return seen, [Row("a", seen.frame, {"x": seen.masks[0].copy(), "shown": np.array(shown)})]
+
+    def reads(job: Job) -> Any:
+        pictures = ((f, [np.zeros((2, 3, 3), dtype=np.uint8)]) for f in FRAMES)
+        return {"masks": ((f, [np.full((300, 400), f)]) for f in FRAMES), "pictures": pictures}
+
+    work = FrameWork(reads, lambda job: 17, step, lambda state: Ending(), ("masks",), then, apart)
+    return Stage("a", "pose", ("a",), work, lambda job: StageReport())
+
+
+@pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
+@pytest.mark.parametrize("n_threads", [2, 3])
+def test_a_first_half_in_another_process_finds_the_same(tmp_path: Path, n_threads: int) -> None:
+    def shown(name: str, n_threads: int, apart: tuple[str, ...] | None, **more: Any) -> Any:
+        own = job(tmp_path / name, n_threads=n_threads)
+        run_together([(two_halves(apart, **more), own)])
+        rows = dict(own.store.reader("a"))
+        assert all(np.all(row["x"] == 2 * frame) for frame, row in rows.items())
+        assert list(rows) == list(FRAMES)
+        return {tuple(row["shown"]) for row in rows.values()}
+
+    assert shown("in turn", 1, ("masks", "pictures")) == {(17, True, True)}
+    assert shown("on threads", n_threads, None) == {(17, True, True)}
+    assert shown("apart", n_threads, ("masks", "pictures")) == {(17, False, True)}
+    assert shown("without pictures", n_threads, ("masks",)) == {(17, False, False)}
+    # Killed, it is done again here, from the first frame.
+    assert shown("killed", n_threads, ("masks", "pictures"), die_at=FRAMES[5]) == {(17, True, True)}
+
+
+@pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
+def test_a_profile_has_what_another_process_did(tmp_path: Path) -> None:
+    with profiled() as profile:
+        run_together([(two_halves(("masks",)), job(tmp_path, n_threads=2))])
+    assert profile.n_calls == {("read",): len(FRAMES), ("a",): 2 * len(FRAMES)}
+
+
 def test_what_is_found_is_not_read_from_the_store(tmp_path: Path) -> None:
     own = job(tmp_path)
 
@@ -171,9 +225,9 @@ def test_halves_of_a_step_are_at_work_side_by_side(tmp_path: Path) -> None:
     assert stage.work.then is not None
     then = stage.work.then
 
-    def waits(seen: Seen) -> tuple[Seen, Sequence[Row]]:
+    def waits(state: Any, seen: Seen) -> tuple[Seen, Sequence[Row]]:
         assert seen.frame == FRAMES[-1] or begun[seen.frame + 1].wait(10.0)
-        return then(seen)
+        return then(state, seen)
 
     run_together([(replace(stage, work=replace(stage.work, then=waits)), job(tmp_path, n_threads=2))])
 

@@ -258,12 +258,11 @@ def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
         measured[hull.is_surface] = measured_surface(hull.voxels[hull.is_surface], hull.grid, views)
     pixels = sample_silhouettes(seen.masks, seen.pictures, used)
     row = hull_row(hull, unknown, used, pixels, measured)
-    return walk, replace(seen, hull=hull, begun=walk), [Row(PRODUCT, seen.frame, row)]
+    return walk, replace(seen, hull=hull), [Row(PRODUCT, seen.frame, row)]
 
 
-def _then(seen: Seen) -> tuple[Seen, Sequence[Row]]:
+def _then(walk: _Walk, seen: Seen) -> tuple[Seen, Sequence[Row]]:
     """Hold the masks of the cameras that are judged against the hulls of the others."""
-    walk: _Walk = seen.begun
     if walk.monitor is not None:
         assert seen.masks is not None
         rows = [walk.carving.rig.names.index(name) for name in walk.monitor.rig.names]
@@ -384,7 +383,7 @@ def _remedy(fault: CameraFault) -> str:
     )
 
 
-_WORK = FrameWork(_reads, _start, _step, _finish, finds=("hull",), then=_then)
+_WORK = FrameWork(_reads, _start, _step, _finish, finds=("hull",), then=_then, apart=("masks", "pictures"))
 CARVE = Stage(
     name="carve",
     until="carve",

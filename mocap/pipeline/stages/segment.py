@@ -109,15 +109,15 @@ def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[R
         return state, seen, [Row(PRODUCT, seen.frame, row)]
     assert seen.pictures is not None
     found = list(state.each(_segmented, state.segmenters, seen.pictures))
-    return state, replace(seen, masks=[m.mask for m in found], begun=(found, state.look)), []
+    return state, replace(seen, masks=[m.mask for m in found], begun=found), []
 
 
-def _then(seen: Seen) -> tuple[Seen, Sequence[Row]]:
+def _then(state: _Segmenting, seen: Seen) -> tuple[Seen, Sequence[Row]]:
     """Look at the masks of all cameras together."""
     if seen.begun is None:
         return seen, ()  # they were taken over
     assert seen.masks is not None
-    masks, (found, look) = seen.masks, seen.begun
+    masks, found, look = seen.masks, seen.begun, state.look
     usable = np.array([m.is_usable for m in found])
     shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
     if 2 * np.count_nonzero(usable) < len(usable):
@@ -226,7 +226,7 @@ SEGMENT = Stage(
     until="segment",
     products=(PRODUCT,),
     # Foreground masks of every frame: computed, or taken over from masks/. Source: CF 2.2.3.
-    work=FrameWork(_reads, _start, _step, _finish, finds=("masks",), then=_then),
+    work=FrameWork(_reads, _start, _step, _finish, finds=("masks",), then=_then, apart=("masks",)),
     report=segment_report,
     sections=("segmentation",),
     facts=("fps", "roi_px", "room_bounds_m"),
