@@ -487,8 +487,9 @@ def _diagnose(
         floor = max(floor, _mean(np.minimum(well, _LARGEST_SHARE)))
     is_lag = best != MAX_LAG_FRAMES and share[best] - floor <= _LAG_LEAVES * (none - floor)
     if is_lag and not after_shift < share[best] - 0.5 * usual:
-        first = _sharpened(evidence.strict[:, c], first, best)
-        return replace(_fault(evidence, c, "lag", first, stop), lag_frames=best - MAX_LAG_FRAMES)
+        begin = _sharpened(evidence.strict[:, c], first, best)
+        if begin < stop:  # else the tighter hull contradicts it
+            return replace(_fault(evidence, c, "lag", begin, stop), lag_frames=best - MAX_LAG_FRAMES)
     if _is_drift(states) and not after_shift < _of_states(unexplained[first:stop], states) - 0.5 * usual:
         return _fault(evidence, c, "rate", first, stop)
     if after_shift <= _SHIFT_LEAVES * before_shift:

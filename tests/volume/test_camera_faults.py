@@ -156,6 +156,21 @@ def test_a_dozen_early_frames_are_no_lag() -> None:
     assert find(masks) == ()
 
 
+def test_a_lag_at_the_end_that_the_tighter_hull_contradicts_is_none() -> None:
+    """As it was for somebody who walked past four cameras; there was no frame at which it began."""
+    monitor = ConsistencyMonitor(RIG, GRID)
+    for f in range(T):
+        monitor.add(FIRST + f, [camera[f] for camera in clean()])
+    evidence = monitor.evidence()
+    uncovered, strict = evidence.uncovered.copy(), evidence.strict.copy()
+    uncovered[-10:, 2] = 0.9
+    uncovered[-10:, 2, MAX_LAG_FRAMES + 3] = 0.0
+    strict[:, 2] = 1.0
+    strict[:, 2, MAX_LAG_FRAMES] = 0.0
+    found = find_camera_faults(replace(evidence, uncovered=uncovered, strict=strict))
+    assert "lag" not in {fault.kind for fault in found}
+
+
 def test_a_lag_from_the_start_is_told_as_such() -> None:
     masks = clean()
     masks[5] = [walk()[5][max(f - 3, 0)] for f in range(T)]
