@@ -25,7 +25,7 @@ WORDS = {
     "keypoints": "keypoints alone",
     "volumes": "volumes alone",
     "fused": "volumes and keypoints",
-    "fused_depth": "and depth of one",
+    "fused_depth": "both and depth of one",
 }
 METHODS = tuple(WORDS)
 TITLES = {
