@@ -150,7 +150,7 @@ of frames in which a wrist lies more than 150 mm away.
 
 - `reference`: the published annealed particle filter, 6 layers of 600 particles (CF 6.7.2), on the anthropometric
   body. Published on HumanEva-I (CF Table 6.4): mean 121 mm, MMTP 90 mm, MMTA 71.4 %, at 0.15 frames/s.
-- `default`: a body with feet and hands, 4 layers of 200 particles on the fast likelihood, refined on the hull's
+- `default`: a body with feet and hands, 3 layers of 120 particles on the fast likelihood, refined on the hull's
   surface and the outlines of the silhouettes, colours as evidence, limbs searched for in turn, height from poses,
   smoothed over 8 frames.
 - `best`: the default, and all poses refined once more on the colours that places of the body have over the clip
