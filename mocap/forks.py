@@ -168,8 +168,6 @@ def _serve(
     shelf: _Shelf,
 ) -> None:
     """The whole life of a forked process that answers; it ends when nobody can ask any more."""
-    # Ctrl-C is told to all processes of a terminal: this one ends with the one that asks.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(BaseException), _told(there), serve() as answer:  # nobody is left to be told
         there.send((True, None))
         while True:
@@ -192,6 +190,14 @@ def _told(there: Connection) -> Iterator[None]:
         there.send((False, error))
 
 
+# What ends a command. Ctrl-C is told to all processes of a terminal, and a forked one ends with the one that asks.
+_ENDING = {
+    number: handler
+    for name, handler in (("SIGINT", signal.SIG_IGN), ("SIGTERM", signal.SIG_DFL), ("SIGHUP", signal.SIG_DFL))
+    if (number := getattr(signal, name, None)) is not None
+}
+
+
 def _fork() -> int:
     """`os.fork` of a process whose libraries have threads."""
     import cv2
@@ -199,9 +205,16 @@ def _fork() -> int:
     n = cv2.getNumThreads()
     # The child has none of the threads that OpenCV would wait for there.
     cv2.setNumThreads(1)
+    # Until its handlers are its own: with those of this process it would do what only this one may, clean up say.
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of all threads, of idle ones too
         process = os.fork()
+    if process == 0:
+        for number, handler in _ENDING.items():
+            if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` has it
+                signal.signal(number, handler)
+    signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     if process:
         cv2.setNumThreads(n)
     return process

@@ -186,6 +186,26 @@ def test_it_ignores_ctrl_c_and_ends_with_who_asks() -> None:
         assert ask("still there?") == (process, 2, "still there?")
 
 
+@pytest.mark.parametrize("is_ignored", [False, True])
+def test_it_has_no_handler_of_the_one_that_it_is_forked_from(is_ignored: bool) -> None:
+    """Which would clean up what is not its own. What the shell ignores, as for `nohup`, stays ignored."""
+
+    @contextmanager
+    def telling() -> Iterator[Callable[[int], object]]:
+        yield lambda number: (signal.getsignal(number), signal.pthread_sigmask(signal.SIG_BLOCK, []))
+
+    def stop(number: int, frame: object) -> None:
+        raise AssertionError
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if is_ignored else stop)
+    try:
+        with answering(telling) as ask:
+            assert ask(signal.SIGHUP) == (signal.SIG_IGN if is_ignored else signal.SIG_DFL, set())
+            assert ask(signal.SIGINT) == (signal.SIG_IGN, set())
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 @contextmanager
 def drawing() -> Iterator[Callable[[int], list[np.ndarray]]]:
     """Answers with pictures of the number that it is asked for, of which some are large, and one lies across."""

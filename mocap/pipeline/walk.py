@@ -103,10 +103,13 @@ class Walker:
         self, frames: Iterable[Seen], recorder: Recorder, apart: Callable[[Iterator[Found]], Iterator[Found]]
     ) -> Iterator[Seen]:
         """The frames in order, with what was found in them.  apart : has what it is given made on another thread, or by
-        another process."""
-        n = len(self.job.session.frames)
+        another process; called at once, by who asks."""
         found = map(self._first, frames)
-        for seen, rows in found if self.work.then is None else map(self._second, apart(found)):
+        return self._recorded(found if self.work.then is None else map(self._second, apart(found)), recorder)
+
+    def _recorded(self, found: Iterable[Found], recorder: Recorder) -> Iterator[Seen]:
+        n = len(self.job.session.frames)
+        for seen, rows in found:
             recorder.take(rows)
             if seen.index + 1 < n:  # the last one is done when the products are
                 self.job.progress(self.stage.name, seen.index + 1, n)

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 from small_session import PLAIN, small_session
 
-from mocap.forks import can_fork
+from mocap.forks import answering, can_fork
 from mocap.io.store import StageStore
+from mocap.pipeline import walk
 from mocap.pipeline.chains import CHAINS
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.run import run_session
@@ -163,6 +164,22 @@ def test_a_first_half_in_another_process_finds_the_same(tmp_path: Path, n_thread
     assert shown("without pictures", n_threads, ("masks",)) == {(17, False, False)}
     # Killed, it is done again here, from the first frame.
     assert shown("killed", n_threads, ("masks", "pictures"), die_at=FRAMES[5]) == {(17, True, True)}
+
+
+@pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
+def test_who_walks_forks_and_no_thread_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that a thread forks while a signal stops the walk is left by nobody, and waited for for ever."""
+    forked_by = []
+
+    def watched(serve: Any) -> Any:
+        forked_by.append(threading.current_thread())
+        return answering(serve)
+
+    monkeypatch.setattr(walk, "answering", watched)
+    later = FrameWork(lambda job: {}, lambda job: 0, lambda n, seen: (n, seen, ()), lambda n: Ending(), ())
+    stages = [two_halves(("masks",)), Stage("b", "pose", (), later, lambda job: StageReport())]
+    run_together([(stage, job(tmp_path, n_threads=3)) for stage in stages])
+    assert forked_by == [threading.current_thread()]
 
 
 @pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
