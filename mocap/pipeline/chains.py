@@ -7,8 +7,9 @@ from mocap.io.detections import LABELS_FILE
 from mocap.io.session import Session
 from mocap.pipeline.config import Config
 from mocap.pipeline.stage import Stage
-from mocap.pipeline.stages.carve import CARVE, FUSED_CARVE
+from mocap.pipeline.stages.carve import CARVE
 from mocap.pipeline.stages.detect import DETECT, labels_path
+from mocap.pipeline.stages.fused_carve import FUSED_CARVE
 from mocap.pipeline.stages.fused_pose import FUSED_POSE
 from mocap.pipeline.stages.keypoint_pose import KEYPOINT_POSE
 from mocap.pipeline.stages.keypoints import KEYPOINTS_STAGE

@@ -158,7 +158,7 @@ class Stage:
     @property
     def module(self) -> str:
         """Where the work is written: its imports are the code that can change a result."""
-        return (self.work.run if isinstance(self.work, ClipWork) else self.work.step).__module__
+        return (self.work.run if isinstance(self.work, ClipWork) else self.work.reads).__module__
 
 
 def is_done(stage: Stage, store: StageStore, key: str) -> bool:

@@ -28,7 +28,6 @@ from mocap.pipeline.stage import (
     Stage,
     StageReport,
 )
-from mocap.pipeline.stages.known import known_in_pictures
 from mocap.products.hulls import PRODUCT, hull_attrs, hull_row, stored_faults, stored_grid
 from mocap.products.masks import never_empty, read_masks
 from mocap.products.occluders import stored_occluders
@@ -218,11 +217,6 @@ def _reads(job: Job) -> Sources:
     return {**masks, **pictures, **depth}
 
 
-def _reads_beside_keypoints(job: Job) -> Sources:
-    (points, _), frames = known_in_pictures(job), job.session.frames
-    return {**_reads(job), "known": ((frame, points[frame]) for frame in frames)}
-
-
 def _start(job: Job) -> _Walk:
     session, config = job.session, job.config
     try:
@@ -330,13 +324,6 @@ def carve_report(job: Job) -> StageReport:
     )
 
 
-def _report_beside_keypoints(job: Job) -> StageReport:
-    """The same, and whether keypoints and pictures are of the same recording."""
-    report, (_, fault) = carve_report(job), known_in_pictures(job)
-    said = () if fault is None else (f"{fault.message}. Remedy: {fault.remedy}",)
-    return StageReport((*said, *report.warnings), report.numbers)
-
-
 def _gap_warnings(frames: NDArray[np.int64], is_empty: NDArray[np.bool_], fps: float) -> list[str]:
     """Where nobody is in the volume for a while between frames in which somebody is."""
     edges = np.flatnonzero(np.diff(is_empty.astype(np.int8)))
@@ -397,12 +384,4 @@ CARVE = Stage(
     needs_whole=("segment", "occluders"),
     sections=("volume",),
     facts=("room_bounds_m", "depth"),
-)
-# Keypoints say where silhouettes lack somebody, and where nobody is.
-FUSED_CARVE = replace(
-    CARVE,
-    work=replace(_WORK, reads=_reads_beside_keypoints),
-    report=_report_beside_keypoints,
-    needs=("segment", "occluders", "keypoints"),
-    facts=("fps", "room_bounds_m", "depth"),
 )
