@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from flesh_voxels import Flesh
+from marker_world import ring
 
 from mocap.body import cones_of, joint_transforms
-from mocap.data import Camera, CameraRig
+from mocap.data import CameraRig
 from mocap.likelihood.colours import PixelRays
 from mocap.likelihood.colours._kernels import see_cones
 from mocap.likelihood.residuals import Crops, person_crops, pinhole_view
@@ -30,17 +31,7 @@ def rays_at(flesh: Flesh, state: np.ndarray, *, seed: int, n: int = 900) -> Pixe
 
 def cameras_around() -> CameraRig:
     """Four small cameras around a body at the origin."""
-    K = np.array([[190.0, 0, 95.5], [0, 190.0, 119.5], [0, 0, 1]])
-    found = []
-    for i, angle in enumerate((0.3, 1.9, 3.4, 5.0)):
-        eye = np.array([3 * np.cos(angle), 3 * np.sin(angle), 1.2])
-        forward = np.array([0, 0, 1.0]) - eye
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0, 0, 1.0])
-        right /= np.linalg.norm(right)
-        R = np.stack([right, np.cross(forward, right), forward])
-        found.append(Camera(f"c{i}", (192, 240), K, np.zeros(5), R, -R @ eye))
-    return CameraRig(tuple(found))
+    return ring(4, (192, 240), np.zeros(5))
 
 
 def painted(flesh: Flesh, state: np.ndarray, rig: CameraRig) -> list[np.ndarray]:

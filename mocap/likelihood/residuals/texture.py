@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mocap.arrays import Array, Image, Mask
 from mocap.body.flesh import LookUpTable, cone_distances
 from mocap.body.model import Body
+from mocap.data.camera import Camera
 from mocap.data.problem import StateLayout
 from mocap.geometry._pixel_kernels import extent_of, pixels_of_points
 from mocap.likelihood.colours import luma_and_chroma
@@ -88,7 +89,6 @@ def person_crops(
     *,
     is_used: Sequence[bool] | NDArray[np.bool_],
     hidden: Sequence[Mask | None],
-    settings: TextureSettings | None = None,
 ) -> Crops:
     """What cameras show around one person.
 
@@ -97,7 +97,7 @@ def person_crops(
     is_used : cameras that can be trusted.  hidden : per camera (H, W) bool, pixels in which something stands before the
     person, or None.
     """
-    numbers = settings or TextureSettings()
+    numbers = TextureSettings()
     n = len(views)
     colours, clear = [np.zeros((0, 3), dtype=np.uint8)], [np.zeros(0, dtype=np.bool_)]
     first, shape = np.zeros(n, dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
@@ -119,7 +119,7 @@ def person_crops(
         if behind is not None:
             inside = inside & (view.undistort(behind, window) == 0)
         if len(other_points):
-            inside = inside & ~_near(camera.size, other_points, view, window, numbers.apart_m * px_per_m)
+            inside = inside & ~_near(other_points, camera, window, numbers.apart_m * px_per_m)
         rows, columns = inside.shape
         seen = luma_and_chroma(crop.reshape(-1, 3)).reshape(rows, columns, 3)
         smooth = cv2.GaussianBlur(seen, (0, 0), numbers.blur_m * px_per_m)
@@ -140,13 +140,10 @@ def person_crops(
     )
 
 
-def _near(
-    size: tuple[int, int], points: Array, view: PinholeView, window: tuple[slice, slice], reach_px: float
-) -> Mask:
+def _near(points: Array, camera: Camera, window: tuple[slice, slice], reach_px: float) -> Mask:
     """Pixels of a window that lie within a reach of projected points (K, 3) m."""
-    camera = view.camera
-    pixels = pixels_of_points(points, camera.R, camera.t, camera.K, *size)
-    marked = np.zeros(size[::-1], dtype=np.uint8)
+    pixels = pixels_of_points(points, camera.R, camera.t, camera.K, *camera.size)
+    marked = np.zeros(camera.size[::-1], dtype=np.uint8)
     marked[pixels[:, 1], pixels[:, 0]] = 1
     side = 2 * int(np.ceil(reach_px)) + 1
     return np.asarray(cv2.dilate(marked, np.ones((side, side), dtype=np.uint8))[window], dtype=np.bool_)
