@@ -13,8 +13,8 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import register
-from threading import Thread
-from typing import Any, TypeVar
+from threading import Thread, current_thread, main_thread
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -199,25 +199,49 @@ _ENDING = {
 
 
 def _fork() -> int:
-    """`os.fork` of a process whose libraries have threads."""
+    """`os.fork` of a process whose libraries have threads, and who may be told to end at any time.
+
+    What a handler raises inside a hook of `os.fork` is lost, and with it the lock of `logging` that the hook was to
+    release: handlers wait until the process is there. In the new process signals wait until it has handlers of its own;
+    with those of this one it would do what only this one may, clean up for instance.
+    """
     import cv2
 
     n = cv2.getNumThreads()
     # The child has none of the threads that OpenCV would wait for there.
     cv2.setNumThreads(1)
-    # Until its handlers are its own: with those of this process it would do what only this one may, clean up say.
+    came: list[int] = []
+    before = {number: signal.getsignal(number) for number in _ENDING}
+    # Handlers of Python run in the main thread alone: another one that forks has none to wait for.
+    waiting = [number for number, handler in before.items() if callable(handler) and _is_main()]
+    for number in waiting:
+        signal.signal(number, lambda number, frame: came.append(number))
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of all threads, of idle ones too
         process = os.fork()
     if process == 0:
         for number, handler in _ENDING.items():
-            if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` has it
+            if before[number] != signal.SIG_IGN:  # as `nohup` has it
                 signal.signal(number, handler)
-    signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-    if process:
-        cv2.setNumThreads(n)
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        return 0
+    cv2.setNumThreads(n)
+    try:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        for number in waiting:
+            signal.signal(number, before[number])
+        for number in came:
+            cast(Callable[[int, None], None], before[number])(number, None)
+    except BaseException:
+        os.kill(process, signal.SIGKILL)  # nobody else knows of it yet
+        os.waitpid(process, 0)
+        raise
     return process
+
+
+def _is_main() -> bool:
+    return current_thread() is main_thread()
 
 
 def _work(job: Job, reading: int, writing: int) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -204,6 +206,45 @@ def test_it_has_no_handler_of_the_one_that_it_is_forked_from(is_ignored: bool) -
             assert ask(signal.SIGINT) == (signal.SIG_IGN, set())
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+_TOLD_TO_END_WHILE_FORKING = """
+import logging, os, signal, threading
+from contextlib import contextmanager
+from mocap.forks import answering
+from mocap.portable import Stopped, stoppable
+
+@contextmanager
+def serve():
+    yield lambda question: question
+
+threading.Thread(target=threading.Event().wait, daemon=True).start()  # signals reach a process by any of its threads
+signal.signal(signal.SIGTERM, signal.SIG_DFL)
+os.register_at_fork(before=lambda: os.kill(os.getpid(), signal.SIGTERM))
+try:
+    with stoppable(), answering(serve):
+        print("went on")
+except Stopped as error:
+    print("stopped by", error)
+print("lock is free:", logging._lock.acquire(blocking=False))
+try:
+    os.waitpid(-1, os.WNOHANG)
+except ChildProcessError:
+    print("nobody is left")
+"""
+
+
+def test_a_signal_that_comes_while_forking_is_not_lost() -> None:
+    """Hooks of `os.fork` lose what handlers raise in them: the run went on, and waited for a lock for ever."""
+    said = subprocess.run(
+        [sys.executable, "-c", _TOLD_TO_END_WHILE_FORKING],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert said.stdout.splitlines() == ["stopped by SIGTERM", "lock is free: True", "nobody is left"]
+    assert "Exception ignored" not in said.stderr
 
 
 @contextmanager
