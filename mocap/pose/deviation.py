@@ -31,6 +31,7 @@ class FrameSeries:
     far from the body.  blind_std : (T,) m, what a pose that was carried on has gained since the last hull, 0 = seen.
     hidden_std : (T, M) m, the same for a landmark that too few cameras could judge while others saw the rest.
     doubtful : (T, M) bool, landmarks that another pose, which explains the frame about as well, has elsewhere.
+    settled : (T, P) bool, parts whose colours the texture of the clip has compared with the frame's.
     observed, log_likelihood, ess_share : as in `PersonPoses`.
     """
 
@@ -42,6 +43,7 @@ class FrameSeries:
     hidden_std: Array
     observed: NDArray[np.bool_]
     doubtful: NDArray[np.bool_]
+    settled: NDArray[np.bool_]
     log_likelihood: Array
     ess_share: Array
 
@@ -58,6 +60,7 @@ class FrameSeries:
             hidden_std=shared_zeros((n, M)),
             observed=shared_zeros((n, M), np.bool_),
             doubtful=shared_zeros((n, M), np.bool_),
+            settled=shared_zeros((n, P), np.bool_),
             log_likelihood=shared_zeros((n,)),
             ess_share=shared_zeros((n,)),
         )
@@ -112,14 +115,22 @@ def landmark_covariances(body: Body, series: FrameSeries, settings: DeviationSet
 
     That are the body's own errors, the chance that a limb which fits badly is lost (`DeviationSettings.of_landmark`), a
     hull that the body does not explain, a frame that is explained much worse than the person's others, a pose that was
-    carried on and a landmark that could not be seen.
+    carried on and a landmark that could not be seen; of all this a share where a texture has told where a limb lies.
     """
     floor, per_nat = np.array([settings.of_landmark[landmark_kind(name)] for name in body.landmarks]).T
     misfit = landmark_misfit(body, series, settings.most_misfit_nats)
     fallen = settings.per_fallen_nat * fallen_nats(series.log_likelihood, settings.usual_fall_nats)
     of_frame = astray_variance(series, settings) + fallen**2
     own = floor**2 + (per_nat * misfit) ** 2 + of_frame[:, None] + series.hidden_std**2
-    return np.asarray(own[:, :, None, None] * np.eye(3) + series.fit_covariance)
+    covariance = own[:, :, None, None] * np.eye(3) + series.fit_covariance
+    left = np.where(settled_landmarks(body, series, settings), settings.settled, 1.0)
+    return np.asarray(left[:, :, None, None] ** 2 * covariance)
+
+
+def settled_landmarks(body: Body, series: FrameSeries, settings: DeviationSettings) -> NDArray[np.bool_]:
+    """Landmarks of which a texture has told where they lie, (T, M)."""
+    is_told = np.isin([landmark_kind(name) for name in body.landmarks], settings.settled_kinds)
+    return np.asarray(is_told & series.settled[:, body.landmark_parts])
 
 
 def fit_covariance(body: Body, state: Array, information: Array, settings: DeviationSettings) -> Array:

@@ -182,7 +182,7 @@ class _Frames:
         that is known for sure, and the problem that holds it, in nats."""
         series, body, evidence = self.series, self.followed.body, self.evidence_of(row)
         information = np.zeros((len(state),) * 2)
-        series.doubtful[row] = False
+        series.doubtful[row], series.settled[row] = False, False
         if evidence is not None:
             state = evidence.all_refined([state])[0] if is_refined else state
             fit = evidence.fit(state)
@@ -216,7 +216,7 @@ def _without(followed: FollowedPerson, is_bad: NDArray[np.bool_]) -> FollowedPer
     good = np.flatnonzero(~is_bad)
     blind_m = followed.tools.settings.method.follow.blind_std_m
     step_m = float(followed.tools.noise_std[0])
-    for name in ("fit_covariance", "misfit", "unexplained", "hidden_std", "observed", "doubtful"):
+    for name in ("fit_covariance", "misfit", "unexplained", "hidden_std", "observed", "doubtful", "settled"):
         getattr(series, name)[is_bad] = 0
     for name in ("log_likelihood", "ess_share"):
         getattr(series, name)[is_bad] = np.nan

@@ -432,6 +432,11 @@ class DeviationSettings(_Strict):
 
     of_landmark: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(UNCERTAINTY))
     """Kind of landmark -> standard deviation where the pose fits perfectly, m, and its growth per nat of misfit."""
+    settled: float = 0.85
+    """Share of its deviation that is left to a landmark of `settled_kinds` whose part was settled on the texture of a
+    clip (`pose.texture_weight`): `python -m eval.pose_coverage --preset best --fit`."""
+    settled_kinds: tuple[str, ...] = ("elbow", "wrist", "knee", "ankle")
+    """Texture tells where limbs lie; what is left at the trunk is where this person's joints lie in the flesh."""
     correlated: float = 2.5
     """Neighbouring points of hull and outlines err alike: so many count as one. From the jitter of the poses of walking
     people, which is this much larger than independent residuals would make it."""

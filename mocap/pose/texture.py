@@ -39,7 +39,7 @@ def settle_on_texture(clip: PersonClip, series: FrameSeries) -> None:
         return
     tools = observation.tools
     weight, method = tools.settings.texture_weight, tools.settings.method
-    texture = _texture_of(clip, observation, series)
+    texture = texture_of(clip, observation, series)
     # The colours of limbs have had their say.
     observation = observation.with_tools(replace(tools, settings=replace(tools.settings, colour_weight=0.0)))
 
@@ -52,7 +52,7 @@ def settle_on_texture(clip: PersonClip, series: FrameSeries) -> None:
             problem = TextureProblem.about(texture, crops, series.states[row], weight)
             state = evidence.refined_with(series.states[row], problem)
             fit = evidence.fit(state)
-            series.states[row] = state
+            series.states[row], series.settled[row] = state, problem.compared
             series.fit_covariance[row] = fit_covariance(tools.body, state, fit.information, method.deviation)
             series.misfit[row], series.unexplained[row] = fit.misfit, fit.unexplained
             series.log_likelihood[row] = fit.log_likelihood
@@ -60,7 +60,7 @@ def settle_on_texture(clip: PersonClip, series: FrameSeries) -> None:
     _in_halves(settle, np.arange(len(series)), tools.n_threads)
 
 
-def _texture_of(clip: PersonClip, observation: VolumeObservation, series: FrameSeries) -> Texture:
+def texture_of(clip: PersonClip, observation: VolumeObservation, series: FrameSeries) -> Texture:
     """The texture that the poses of a clip teach, by frames spread over it."""
     tools, numbers = observation.tools, TextureSettings()
     places = places_of(tools.body, tools.table, numbers.n_places)

@@ -197,6 +197,24 @@ def test_a_body_that_is_turned_inside_its_outlines_is_turned_back(
     assert abs(found[2] - state[2]) < 0.005
 
 
+def test_a_part_is_compared_where_two_cameras_see_a_place_of_known_colour(
+    frames: list[Frame], texture: Texture
+) -> None:
+    crops, state = frames[-1]
+    problem = TextureProblem.about(texture, crops, state)
+    part, known = FLESH.body.part_of_joint[PLACES.joint], texture.terms.inverse.any(axis=1)
+    alone = np.zeros_like(problem.seen)
+    alone[0] = problem.seen[0]
+    seen_twice, arm = alone.copy(), FLESH.body.layout.parts.index("left_upper_arm")
+    seen_twice[1, part == arm] = True
+    assert problem.compared.all()
+    assert not replace(problem, seen=alone).compared.any(), "one camera does not tell how far away"
+    assert seen_twice[0, (part == arm) & known].any()
+    assert np.flatnonzero(replace(problem, seen=seen_twice).compared).tolist() == [arm]
+    unknown = replace(texture, terms=texture.terms._replace(inverse=0 * texture.terms.inverse))
+    assert not replace(problem, texture=unknown).compared.any()
+
+
 def test_median_colours_and_what_differs_from_them() -> None:
     rng = np.random.default_rng(1)
     counts = counts_of([])

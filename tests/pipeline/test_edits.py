@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -186,7 +187,12 @@ def test_a_pin_pulls_a_wrong_wrist_right_and_its_neighbours_follow(session: Path
     assert apart[list(wrong)].min() > 0.3
     place = right[5]
     pins = PoseEdits(pins=(Pin(int(one.frames[5]), "left_wrist", tuple(place.tolist())),))
+    one = replace(one, series=replace(one.series, settled=np.ones_like(one.series.settled)))
     mended = edited(one, pins, work.evidence_of(one))
+    moved = np.any(mended.series.states != one.series.states, axis=1)
+    np.testing.assert_array_equal(mended.series.settled.all(axis=1), ~moved)
+    assert moved[5]
+    assert not mended.series.settled[moved].any()
     left = np.linalg.norm(landmarks_of(body, mended.series.states)[:, wrist] - right, axis=1)
     assert left[5] < 0.02
     assert left[list(wrong)].max() < 0.1, "the evidence carries the arm to the frames beside"

@@ -156,6 +156,26 @@ def test_a_frame_that_is_explained_much_worse_than_the_others_makes_unsure() -> 
     np.testing.assert_allclose(variance[4], (numbers.per_fallen_nat * beyond) ** 2)
 
 
+def test_limbs_that_are_settled_on_a_texture_are_surer_by_a_share() -> None:
+    """An arm in one of two frames; nothing else of that frame, and nothing of the other, has changed. The trunk is
+    settled too, and no surer: where joints lie in it no texture tells."""
+    states = marching(BODY, 2, FPS)
+    settled = np.zeros((2, LAYOUT.n_parts), dtype=np.bool_)
+    arm = LAYOUT.parts.index("left_forearm")
+    settled[1, [0, arm]] = True
+    fits = np.tile(np.diag([1e-4, 4e-4, 9e-4]), (2, len(LANDMARKS), 1, 1))
+    numbers = DeviationSettings(settled=0.5)
+    plain = landmark_covariances(BODY, series_of(states, fit_covariance=fits), numbers)
+    surer = landmark_covariances(BODY, series_of(states, fit_covariance=fits, settled=settled), numbers)
+    share = np.sqrt(surer / np.where(plain > 0, plain, 1.0))[..., [0, 1, 2], [0, 1, 2]]
+    on_arm = BODY.landmark_parts == arm
+    assert [n for n, own in zip(LANDMARKS, on_arm, strict=True) if own] == ["left_elbow", "left_wrist"]
+    np.testing.assert_allclose(share[1, on_arm], 0.5)
+    np.testing.assert_array_equal(share[1, ~on_arm], 1.0)
+    np.testing.assert_array_equal(share[0], 1.0)
+    assert 0 < DeviationSettings.settled < 1
+
+
 @pytest.mark.parametrize("refine", [True, False])
 def test_without_refinement_the_particles_spread_counts(refine: bool) -> None:
     pose_settings = PoseConfig(n_layers=3, n_particles=80, refine=refine)

@@ -80,6 +80,8 @@ def test_poses_that_are_off_both_ways_are_drawn_to_the_middle(scene: tuple[Volum
     np.testing.assert_array_equal(series.states[DARK], before[DARK])
     assert series.fit_covariance[light].any(axis=(1, 2, 3)).all()
     assert not series.fit_covariance[DARK].any()
+    assert series.settled[light].mean() > 0.9
+    assert not series.settled[DARK].any()
 
     hull_alone = np.stack(
         [

@@ -230,6 +230,17 @@ class TextureProblem:
     def layout(self) -> StateLayout:
         return self.texture.body.layout
 
+    @property
+    def compared(self) -> NDArray[np.bool_]:
+        """Parts (P,) of which two cameras or more see places whose colours are known: one does not tell how far away
+        they are."""
+        own = self.texture
+        is_known, part = own.terms.inverse.any(axis=1), own.body.part_of_joint[own.places.joint]
+        sees = np.zeros((len(self.seen), self.layout.n_parts), dtype=np.bool_)
+        for camera, seen in enumerate(self.seen):
+            sees[camera, part[seen & is_known]] = True
+        return np.asarray(sees.sum(axis=0) >= 2)
+
     def normal_equations(self, state: Array) -> tuple[float, Array, Array]:
         """Robust cost, nats, its Gauss-Newton matrix (D, D) and gradient (D,) at a state (D,).
 
