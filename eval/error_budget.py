@@ -1,8 +1,9 @@
 """What the error that is left consists of: session by session, from the error as it is to what the body could reach.
 
-    python -m eval.error_budget [--only dev:walk,dev:cross] [--seed 0] [--work out/eval] [--trust-store]
+    python -m eval.error_budget [--only dev:walk,dev:cross] [--presets best] [--seed 0] [--work out/eval]
 
-The default preset, pose stage alone on the same masks, volumes and tracks. Columns, mm, means over 15 landmarks:
+Presets `default` and `best`, pose stage alone on the same masks, volumes and tracks. Columns, mm, means over 15
+landmarks:
 
     raw, after_offset   as they are, and after one offset per landmark learnt on the first ten frames
     best_offset         after the best constant offset in the torso's frame
@@ -10,18 +11,23 @@ The default preset, pose stage alone on the same masks, volumes and tracks. Colu
     fast                of that, what changes within 0.3 s
     lost_percent        landmarks more than 100 mm away, percent
     not_held            best_offset when feet that stand are not held
-    from_truth          best_offset of poses refined from the true ones: what hull and outlines prefer
+    from_truth          best_offset of poses refined from the true ones: what hull and outlines prefer; with `best`
+                        hull, outlines and the colours that the true poses teach
     body                bone_offset of the found body fitted to the true landmarks: what its joints can reach
-    nats                by how much the residuals prefer their own minimum to the true pose
+    nats                by how much hull and outlines prefer their own minimum to the true pose
 
-Writes eval/results/error_budget.csv, whole, when all sessions are run.
+Writes eval/results/error_budget.csv, whole, when all sessions are run with both presets. Rows that are in WORK/budget
+already are taken from there; --again makes them anew.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import sys
 from dataclasses import replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -39,20 +45,35 @@ from mocap.body.kinematics import joint_transforms, point_jacobian
 from mocap.data import LANDMARKS
 from mocap.filters.refine import RefineSettings, refine
 from mocap.io.session import open_session
+from mocap.io.session.reading import pictures_of
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv
 from mocap.metrics.points import offset_corrected, point_errors
 from mocap.pipeline.config import load_config
 from mocap.pipeline.stage import Job
 from mocap.pipeline.stages.pose import PoseWork
+from mocap.pose.edits import copied
+from mocap.pose.person import VolumeClip
 from mocap.pose.point_fit import PointFit
 from mocap.pose.result import FollowedPerson
 from mocap.pose.smooth import smooth_motion
+from mocap.pose.texture import settle_on_texture
+from mocap.pose.volume import VolumeObservation, VolumeTools
 from mocap.products.tracks import stored_tracks
 
 RESULTS = ROOT / "eval" / "results" / "error_budget.csv"
 FIELDS = (
-    *("session", "person", "raw", "after_offset", "best_offset", "bone_offset", "fast", "lost_percent"),
+    *(
+        "session",
+        "person",
+        "preset",
+        "raw",
+        "after_offset",
+        "best_offset",
+        "bone_offset",
+        "fast",
+        "lost_percent",
+    ),
     *("not_held", "from_truth", "body", "nats"),
 )
 N = len(LANDMARKS)
@@ -72,6 +93,19 @@ def fitted_to(body: Body, states: Array, true: Array) -> tuple[Array, Array]:
         found = np.stack([refine(fit, start, settings)[0] for fit, start in zip(fits, states, strict=True)])
     points = [point_jacobian(body, state, joint, offset)[0] for state in found]
     return found, np.stack(points)
+
+
+def settled(work: PoseWork, one: FollowedPerson, known: NDArray[np.bool_], states: Array) -> Array:
+    """Other poses (T', D) of the known frames (T,), settled on the texture that they teach."""
+    tools = one.tools
+    assert isinstance(tools, VolumeTools)
+    pictures = partial(pictures_of, work.job.session)
+    observation = VolumeObservation(tools, work.hull_of(one.person), pictures_of=pictures)
+    series = copied(one.series).rows(known)
+    series.states[:] = states
+    frames = one.frames[known]
+    settle_on_texture(VolumeClip(one.person, frames, np.zeros((len(frames), 3)), observation), series)
+    return series.states
 
 
 def row_of(work: PoseWork, one: FollowedPerson, true: Array, fps: float) -> dict[str, float]:
@@ -101,6 +135,8 @@ def row_of(work: PoseWork, one: FollowedPerson, true: Array, fps: float) -> dict
         refined[row] = seen.refined(fitted[row])
         costs = [seen.residuals.normal_equations(s)[0] / seen.m2_per_nat for s in (fitted[row], refined[row])]
         nats.append(costs[0] - costs[1])
+    if settings.texture_weight > 0:
+        refined = settled(work, one, known, fitted)
     return {
         "raw": float(point_errors(places, t).mean()),
         "after_offset": float(point_errors(offset_corrected(places, t), t).mean()),
@@ -115,12 +151,14 @@ def row_of(work: PoseWork, one: FollowedPerson, true: Array, fps: float) -> dict
     }
 
 
-def rows_of(name: str, seed: int, work_folder: Path, *, trust_store: bool) -> list[dict[str, Any]]:
+def rows_of(
+    name: str, preset: str, seed: int, work_folder: Path, *, trust_store: bool
+) -> list[dict[str, Any]]:
     """A row per person of a session."""
     folder, out = prepare(name, work_folder, trust_store=trust_store)
     session, store = open_session(folder), StageStore(out / "store.zarr")
     truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
-    work = PoseWork(Job(session, load_config("default", ()), store, seed=seed))
+    work = PoseWork(Job(session, load_config(preset), store, seed=seed))
     rows = []
     for one in work.follow(stored_tracks(store, session.fps)):
         person = min(truth, key=lambda motion: nearest(one, motion.frames, motion.landmarks[:, 0]))
@@ -128,9 +166,8 @@ def rows_of(name: str, seed: int, work_folder: Path, *, trust_store: bool) -> li
         _, own, of_truth = np.intersect1d(one.frames, person.frames, return_indices=True)
         true[own] = person.landmarks[of_truth][:, :N]
         row = row_of(work, one, true, session.fps)
-        rows.append({"session": name, "person": one.person} | {k: f"{v:.1f}" for k, v in row.items()})
-        sys.stdout.write(" ".join(f"{key}={value}" for key, value in rows[-1].items()) + "\n")
-        sys.stdout.flush()
+        about = {"session": name, "person": one.person, "preset": preset}
+        rows.append(about | {k: f"{v:.1f}" for k, v in row.items()})
     return rows
 
 
@@ -139,14 +176,25 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", help="sessions, separated by commas; then the table is not written")
+    parser.add_argument("--presets", default="default,best", help="separated by commas; likewise")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
     parser.add_argument("--trust-store", action="store_true", help="take masks and volumes as they are")
+    parser.add_argument("--again", action="store_true", help="make rows anew")
     arguments = parser.parse_args()
+    names = arguments.only.split(",") if arguments.only else SESSIONS
     rows = []
-    for name in arguments.only.split(",") if arguments.only else SESSIONS:
-        rows += rows_of(name, arguments.seed, arguments.work, trust_store=arguments.trust_store)
-    if not arguments.only:
+    for name, preset in product(names, arguments.presets.split(",")):
+        kept = arguments.work / "budget" / f"{name.replace(':', '_')}_{preset}_{arguments.seed}.csv"
+        if arguments.again or not kept.exists():
+            made = rows_of(name, preset, arguments.seed, arguments.work, trust_store=arguments.trust_store)
+            write_csv(kept, FIELDS, made)
+        with kept.open(encoding="utf-8", newline="") as stream:
+            own = list(csv.DictReader(stream))
+        sys.stdout.write("\n".join(" ".join(f"{k}={v}" for k, v in row.items()) for row in own) + "\n")
+        sys.stdout.flush()
+        rows += own
+    if not arguments.only and arguments.presets == parser.get_default("presets"):
         write_csv(RESULTS, FIELDS, rows)
 
 
