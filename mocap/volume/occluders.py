@@ -52,7 +52,9 @@ AGAIN_LOOKS = 6
 _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
 _MANY = 6  # of so many cameras hulls forgive one
-_MIN_NEEDING = 3  # cameras whose foreground nothing surer explains; the rays of two cross in many places
+# Cameras whose foreground nothing surer explains; the rays of two cross in many places. Of four cameras two: one sees
+# nothing, and to another one side of somebody explains what it sees of the other.
+_MIN_NEEDING = 3
 # Legs that too few cameras see for a volume. Who ends above this height without touching the floor is cut off; one
 # camera must show him at this share of the lower half of the heights below, so that who jumps is whole.
 _CUT_OFF_M, _CUT_OFF_TOP_M = 0.35, 0.9
@@ -62,9 +64,10 @@ _STRIDE_M = 0.4  # from there to a foot
 _HIP_M = 0.2  # half the width of what is taken for legs
 # Share of a mask outside the silhouette of a hull that allows most cameras to be wrong. Healthy masks have hardly any.
 _ASTRAY_SHARE = 0.1
-# A mask so much of which is astray is odd, and a camera whose masks are in a tenth of its frames has moved: what it
-# misses is no furniture. Those of healthy cameras are in one or two of 75 frames, of one turned by 5 degrees in half.
-_ODD_SHARE, _OFTEN = 0.025, 0.1
+# A camera is odd when so much of its mask is astray and it misses somebody besides; who alone sees what furniture hides
+# from the others misses nobody. When it is odd in a tenth of its frames, and in more than a few, it has moved: what it
+# misses is no furniture. Healthy ones are in up to 5 % (4 of 20 frames), those turned by 3 degrees in 32 to 100 %.
+_ODD_SHARE, _OFTEN, _FEW_FRAMES = 0.025, 0.1, 4
 
 
 class OccluderLearner:
@@ -90,7 +93,7 @@ class OccluderLearner:
         self.n_blocked = np.zeros((len(rig), self._space.n_voxels), dtype=np.uint16)
         self._places, self._looked = np.zeros((0, 12)), np.zeros(0, dtype=np.int64)
         self._n_looks = 0
-        # Of each camera: the frames it was asked in, and those in which its mask was odd.
+        # Of each camera: the frames it was asked in, and those in which it was odd.
         self._n_asked, self._n_odd = np.zeros((2, len(rig)), dtype=np.int64)
         self._was_blocked = [np.zeros(camera.size[::-1], dtype=np.uint8) for camera in self._rig]
         # The farthest and the second farthest depth at which each cell has shown a person; one may be a mistake.
@@ -121,20 +124,20 @@ class OccluderLearner:
         if not is_sure.any():
             return False
         everything = np.ones(len(voxels), dtype=np.bool_)
+        self._n_asked += 1
         for c, own in enumerate(cells):
-            is_covered = np.isfinite(squares.nearest(c, everything))
-            n_astray, n_seen = np.count_nonzero(masks[c] & ~is_covered), np.count_nonzero(masks[c])
-            self._n_asked[c] += 1
-            self._n_odd[c] += n_astray > _ODD_SHARE * n_seen
-            if n_astray > _ASTRAY_SHARE * n_seen:
-                continue  # it sees somebody, elsewhere: it has moved, lags, or others see too little
             near = squares.nearest(c, is_sure)
             missed = squares.nearest(c, is_sure & objects[c])
             verdict = np.full(own.shape, kernels.NO_VOTE, dtype=np.uint8)
             verdict[np.isfinite(near) & masks[c]] = kernels.FREE
             is_empty = cv2.dilate(own, np.ones((3, 3), np.uint8)) == EMPTY
             verdict[np.isfinite(missed) & is_empty] = kernels.BLOCKED
-            self._vote(c, near, verdict)
+            is_covered = np.isfinite(squares.nearest(c, everything))
+            n_astray, n_seen = np.count_nonzero(masks[c] & ~is_covered), np.count_nonzero(masks[c])
+            self._n_odd[c] += n_astray > _ODD_SHARE * n_seen and (verdict == kernels.BLOCKED).any()
+            # Who sees somebody elsewhere has moved, lags, or others see too little.
+            if n_astray <= _ASTRAY_SHARE * n_seen:
+                self._vote(c, near, verdict)
         return True
 
     def occluders(self) -> Occluders:
@@ -143,7 +146,7 @@ class OccluderLearner:
         What hid somebody from this camera itself counts when it stands behind whoever the cell has shown. What hid
         somebody from two others counts until the cell has shown somebody behind it.
         """
-        has_moved = self._n_odd > _OFTEN * self._n_asked
+        has_moved = self._n_odd > np.maximum(_OFTEN * self._n_asked, _FEW_FRAMES)
         n_blocked = np.where(has_moved[:, None], np.uint16(0), self.n_blocked)
         solid = solid_voxels(self._space, self.n_free, n_blocked)
         squares = _squares(self._rig, self._space.centers(solid), self._space.voxel_size_m)
@@ -216,7 +219,8 @@ class OccluderLearner:
         """Which voxels (N,) of a generous hull must be somebody's: a phantom, where rays of two cross, need not."""
         is_needed = np.zeros(len(n_objecting), dtype=np.bool_)
         kernels.needed_voxels(
-            squares.cell, squares.half + 1, sees, n_objecting, _MIN_NEEDING,
+            squares.cell, squares.half + 1, sees, n_objecting,
+            min(_MIN_NEEDING, len(self._rig) - 2),
             np.array([camera.size[0] for camera in self._rig]),
             np.cumsum([0, *(own.size for own in masks)]),
             np.concatenate([own.ravel() for own in masks]), is_needed,

@@ -20,6 +20,8 @@ N_CAMERAS = 6
 N_FRAMES = 90
 PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.2, 1.75
 BOX = np.array([[0.3, -0.5, 0.0], [0.6, 0.4, 0.8]])  # a cupboard that hides legs
+BLOCK = np.array([[-0.1, -0.6, 0.0], [0.9, 0.5, 0.72]])  # as large as a table, to the floor
+CABINET = np.array([[1.35, -0.6, 0.0], [1.6, 0.3, 1.4]])
 ROOM = VoxelGrid.from_bounds(np.array([-1.8, -1.8, 0.0]), np.array([1.8, 1.8, 2.0]), 0.06)
 
 
@@ -73,9 +75,9 @@ def on_floor(i: int, xy: np.ndarray, radius_m: float) -> np.ndarray:
     return ((t > 0) & (np.linalg.norm(at - xy, axis=1) < radius_m)).reshape(SIZE[1], SIZE[0])
 
 
-def hit_box(eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
+def hit_box(eye: np.ndarray, rays: np.ndarray, box: np.ndarray = BOX) -> np.ndarray:
     with np.errstate(divide="ignore"):
-        t = (BOX[:, None] - eye) / rays
+        t = (box[:, None] - eye) / rays
     near, far = t.min(axis=0).max(axis=1), t.max(axis=0).min(axis=1)
     return np.where((near < far) & (near > 0), near, np.inf)
 
@@ -263,6 +265,33 @@ def test_legs_that_two_cameras_see_are_not_taken_for_air():
         assert found.hides(camera, legs[is_hidden]).mean() > 0.9
     assert max(found.hides(camera, legs).mean() for camera in list(rig)[4:]) < 0.15
     assert not any(found.hides(camera, legs + np.array([0.0, 0.0, 1.0])).any() for camera in rig)
+
+
+@pytest.mark.parametrize("chosen", [(0, 1, 3, 4), (0, 2, 3, 5), (0, 1, 2, 4)])
+@pytest.mark.parametrize("things", [(BOX, CABINET), (BLOCK, CABINET)], ids=["cupboard", "block"])
+def test_with_four_cameras_things_that_hide_from_two_at_once_are_learnt(things, chosen):
+    """The other two see what the hull lacks: they were taken for cameras that have moved, and nothing was learnt."""
+    rig, walk = CameraRig(tuple(ring_rig()[i] for i in chosen)), path(N_FRAMES)
+    frames = []
+    for at in walk:
+        views = [rays_of(i) for i in chosen]
+        seen = [
+            hit_cylinder(*v, at) < np.min([hit_box(*v, thing) for thing in things], axis=0) for v in views
+        ]
+        frames.append([mask.reshape(SIZE[::-1]) for mask in seen])
+    found = learn_occluders(rig, ROOM, frames)
+    n_hidden, n_known, n_seen, n_wrong = 0, 0, 0, 0
+    for height in (0.2, 0.45):
+        legs = np.column_stack([walk, np.full(N_FRAMES, height)])
+        for camera in rig:
+            towards = legs - camera.center
+            is_hidden = np.min([hit_box(camera.center, towards, thing) for thing in things], axis=0) < 1.0
+            behind = found.hides(camera, legs)
+            n_hidden, n_known = n_hidden + is_hidden.sum(), n_known + (behind & is_hidden).sum()
+            n_seen, n_wrong = n_seen + (~is_hidden).sum(), n_wrong + (behind & ~is_hidden).sum()
+    assert n_hidden > 0.2 * (n_hidden + n_seen)
+    assert n_known > 0.9 * n_hidden
+    assert n_wrong < 0.05 * n_seen
 
 
 def test_who_jumps_has_no_hidden_legs():
