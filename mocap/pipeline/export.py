@@ -18,6 +18,7 @@ from mocap.io.formats import voxels, write_bids_motion, write_mesh, write_moveme
 from mocap.io.store import StageStore
 from mocap.pipeline.outputs import MotionStyle, motion_writers
 from mocap.pipeline.outside import check_outside
+from mocap.pose.kinematics import Kinematics
 from mocap.pose.result import PersonPoses, motion_of
 from mocap.products import poses as poses_product
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
@@ -134,7 +135,7 @@ def _export_motion(
     written = []
     for i, poses in enumerate(people):
         path = folder / f"person_{poses.person}.{format}"
-        motion_writers(poses, motion_of(poses, fps), fps, style)[format](path)
+        motion_writers(Kinematics(poses, fps), style)[format](path)
         written.append(path)
         progress("export", i + 1, len(people))
     return written

@@ -53,7 +53,7 @@ def open_run(out: Path, session: Path) -> RunResult:
     opened = at_useful_size(opened, record.config, record.kind)
     store = StageStore(out / "store.zarr")
     tracks = tracks_after(store, record.kind, opened, record.config.edits)
-    found = Found(opened, store, record.kind, tracks, tuple(stored_poses(store)))
+    found = Found(opened, store, record.kind, tracks, tuple(stored_poses(store)), record.config.method)
     return RunResult(record, out, found)
 
 

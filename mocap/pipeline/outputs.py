@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from mocap.body import body_skin, skeleton_of
-from mocap.data import AngleSeries, Motion
 from mocap.errors import MissingExtra, MocapError
 from mocap.io._files import atomic_text, writing
 from mocap.io.angle_table import write_angles_csv
@@ -31,18 +30,15 @@ from mocap.io.formats import (
 )
 from mocap.io.formats.opensim import write_ik_setup, write_marker_set, write_osim, write_scale_setup
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
-from mocap.pipeline.config import Config
+from mocap.pipeline.config import OutputConfig
 from mocap.pipeline.pictures import RunPictures
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import write_scene
 from mocap.pipeline.tracking import every_frame
-from mocap.pose.angles import angles_of
-from mocap.pose.cycles import PERCENT, cycles_of
-from mocap.pose.method import AngleSettings, ContactSettings
-from mocap.pose.moves import moves_of
-from mocap.pose.opensim import opensim_bodies, opensim_coordinates
+from mocap.pose.cycles import PERCENT
+from mocap.pose.kinematics import Kinematics
+from mocap.pose.opensim import opensim_bodies
 from mocap.pose.result import PersonPoses
-from mocap.pose.steps import Gait, gait_of
 from mocap.products.poses import body_files
 from mocap.progress import Progress
 
@@ -72,17 +68,15 @@ MOVE_COLUMNS = (
 @dataclass(frozen=True)
 class MotionStyle:
     """How motion is written: names of bones and markers, whether gaps of a TRC are filled, the task in BIDS
-    (None: the name of the session), how angles and contacts are found."""
+    (None: the name of the session)."""
 
     bone_names: BoneNames = "mocap"
     marker_names: MarkerNames = "mocap"
     is_filled: bool = False
     task: str | None = None
-    angles: AngleSettings = field(default_factory=AngleSettings)
-    contact: ContactSettings = field(default_factory=ContactSettings)
 
 
-def write_tables(found: Found, config: Config, folder: Path, *, has_poses: bool) -> None:
+def write_tables(found: Found, folder: Path, *, has_poses: bool) -> None:
     """Write into `folder` the tables of what was found, empty where nobody was, and the persons' body files.
 
     has_poses : the run came as far as the poses.
@@ -92,31 +86,20 @@ def write_tables(found: Found, config: Config, folder: Path, *, has_poses: bool)
     if not has_poses:
         return
     write_landmarks_csv(folder / "landmarks.csv", found.motions)
-    angles, gaits = angles_of_run(found, config), gaits_of_run(found, config)
-    write_angles_csv(folder / "angles.csv", angles)
-    write_steps_csv(folder / "steps.csv", gaits, found)
-    write_cycles_csv(folder / "cycles.csv", gaits, angles)
-    write_moves_csv(folder / "moves.csv", gaits, found)
+    write_angles_csv(folder / "angles.csv", [person.angles for person in found.people])
+    write_steps_csv(folder / "steps.csv", found.people)
+    write_cycles_csv(folder / "cycles.csv", found.people)
+    write_moves_csv(folder / "moves.csv", found.people)
     write_pose_npz(folder / "pose.npz", found.poses)
     for name, text in body_files(found.store, found.poses).items():
         atomic_text(folder / name, text)
 
 
-def angles_of_run(found: Found, config: Config) -> list[AngleSeries]:
-    """The anatomical angles of every person."""
-    return [angles_of(p, found.session.fps, config.method.angles) for p in found.poses]
-
-
-def gaits_of_run(found: Found, config: Config) -> list[Gait]:
-    """Contacts and steps of every person."""
-    return [gait_of(p, found.session.fps, config.method.contact) for p in found.poses]
-
-
-def write_steps_csv(path: Path, gaits: Sequence[Gait], found: Found) -> None:
+def write_steps_csv(path: Path, people: Sequence[Kinematics]) -> None:
     """One row per stance, by person and time, with the step that it ends where there is one; unknown = empty."""
     lines = [",".join(STEP_COLUMNS)]
-    for gait, poses in zip(gaits, found.poses, strict=True):
-        first = int(poses.frames[0]) if len(poses.frames) else 0
+    for person in people:
+        gait, first = person.gait, person.first_frame
         steps = {step.stance: step for step in gait.steps}
         for stance in gait.stances:
             step = steps.get(stance)
@@ -133,13 +116,13 @@ def write_steps_csv(path: Path, gaits: Sequence[Gait], found: Found) -> None:
     atomic_text(path, "\n".join(lines) + "\n")
 
 
-def write_cycles_csv(path: Path, gaits: Sequence[Gait], angles: Sequence[AngleSeries]) -> None:
+def write_cycles_csv(path: Path, people: Sequence[Kinematics]) -> None:
     """The mean of every angle over the gait cycle, one row per person, foot, angle and percent; unknown = empty."""
     lines = [",".join(CYCLE_COLUMNS)]
-    for gait, series in zip(gaits, angles, strict=True):
-        for cycles in cycles_of(gait, series):
+    for person in people:
+        for cycles in person.cycles:
             for name in cycles.names:
-                begin = f"{gait.person},{cycles.side},{len(cycles)},{cycles.off_percent.mean():.1f},{name}"
+                begin = f"{person.poses.person},{cycles.side},{len(cycles)},{cycles.off_percent.mean():.1f},{name}"
                 columns = np.rad2deg(np.stack(cycles.mean(name), axis=1))
                 for percent, numbers in zip(PERCENT, columns, strict=True):
                     cells = ["" if np.isnan(v) else f"{v:.2f}" for v in numbers]
@@ -147,23 +130,22 @@ def write_cycles_csv(path: Path, gaits: Sequence[Gait], angles: Sequence[AngleSe
     atomic_text(path, "\n".join(lines) + "\n")
 
 
-def write_moves_csv(path: Path, gaits: Sequence[Gait], found: Found) -> None:
+def write_moves_csv(path: Path, people: Sequence[Kinematics]) -> None:
     """One row per jump and squat, by person and time; what a move does not have is empty."""
     lines = [",".join(MOVE_COLUMNS)]
-    for gait, poses in zip(gaits, found.poses, strict=True):
-        for move in moves_of(poses, gait, found.session.fps):
-            first = int(poses.frames[0])
-            frames = [str(row + first) for row in (move.begin, move.extreme, move.end)]
+    for person in people:
+        for move in person.moves:
+            frames = [str(row + person.first_frame) for row in (move.begin, move.extreme, move.end)]
             knee = None if move.knee_flexion_rad is None else np.rad2deg(move.knee_flexion_rad)
             numbers = (move.height_m, move.flight_s, move.flight_height_m, knee)
             cells = ["" if v is None else f"{v:.4f}" for v in numbers]
-            lines.append(",".join([str(gait.person), move.kind, *frames, *cells]))
+            lines.append(",".join([str(person.poses.person), move.kind, *frames, *cells]))
     atomic_text(path, "\n".join(lines) + "\n")
 
 
 def write_exports(
     found: Found,
-    config: Config,
+    output: OutputConfig,
     folder: Path,
     *,
     pictures: Callable[[], RunPictures],
@@ -173,19 +155,12 @@ def write_exports(
 
     pictures : gives those of the scene, which comes last.
     """
-    output, fps = config.output, found.session.fps
-    style = MotionStyle(
-        output.bone_names,
-        output.marker_names,
-        output.trc_gaps == "filled",
-        angles=config.method.angles,
-        contact=config.method.contact,
-    )
+    style = MotionStyle(output.bone_names, output.marker_names, output.trc_gaps == "filled")
     steps: list[tuple[Path, Callable[[Path], None]]] = []
-    for poses, motion in zip(found.poses, found.motions, strict=True):
+    for person in found.people:
         steps += [
-            (folder / f"person_{poses.person}.{name}", write)
-            for name, write in motion_writers(poses, motion, fps, style).items()
+            (folder / f"person_{person.poses.person}.{name}", write)
+            for name, write in motion_writers(person, style).items()
             if name in output.formats
         ]
     if "rrd" in output.formats:
@@ -198,13 +173,9 @@ def write_exports(
     return left_out
 
 
-def motion_writers(
-    poses: PersonPoses,
-    motion: Motion,
-    fps: float,
-    style: MotionStyle,
-) -> dict[str, Callable[[Path], None]]:
+def motion_writers(person: Kinematics, style: MotionStyle) -> dict[str, Callable[[Path], None]]:
     """What writes one person into a file, by the file's suffix."""
+    poses, motion, fps = person.poses, person.motion, person.fps
     skeleton = renamed(
         skeleton_of(poses.body, every_frame(poses.frames, poses.states), poses.person), style.bone_names
     )
@@ -215,18 +186,17 @@ def motion_writers(
         "trc": partial(
             write_trc, motion=motion, fps=fps, markers=style.marker_names, is_filled=style.is_filled
         ),
-        "c3d": lambda path: write_c3d(path, motion, fps, foot_events(poses, fps, style.contact)),
-        "mot": lambda path: write_mot(path, motion.time_s, opensim_coordinates(poses, style.angles)),
-        "osim": lambda path: write_opensim(path, poses, motion, fps, style),
+        "c3d": lambda path: write_c3d(path, motion, fps, foot_events(person)),
+        "mot": lambda path: write_mot(path, motion.time_s, person.coordinates),
+        "osim": lambda path: write_opensim(path, person, style),
     }
 
 
-def foot_events(poses: PersonPoses, fps: float, settings: ContactSettings) -> list[Event]:
+def foot_events(person: Kinematics) -> list[Event]:
     """Strikes and offs of both feet by time, as gait laboratories call them; none of a body without feet."""
-    first = int(poses.frames[0]) if len(poses.frames) else 0
     found = [
-        Event(label, stance.side.title(), (row + first) / fps)
-        for stance in gait_of(poses, fps, settings).stances
+        Event(label, stance.side.title(), (row + person.first_frame) / person.fps)
+        for stance in person.gait.stances
         for label, row in (("Foot Strike", stance.strike), ("Foot Off", stance.off))
         if row is not None
     ]
@@ -237,9 +207,10 @@ def foot_events(poses: PersonPoses, fps: float, settings: ContactSettings) -> li
 _HELD = dict.fromkeys(("lumbar_extension", "lumbar_bending", "lumbar_rotation"), 0.01)
 
 
-def write_opensim(path: Path, poses: PersonPoses, motion: Motion, fps: float, style: MotionStyle) -> None:
+def write_opensim(path: Path, person: Kinematics, style: MotionStyle) -> None:
     """A person for OpenSim: the scaled model `path`, and beside it markers without gaps, coordinates, a marker set and
     the set-up files of inverse kinematics and scaling, the path's stem with `_ik`, `_markers` and `_scale`."""
+    poses, motion, fps = person.poses, person.motion, person.fps
     if not len(motion):
         raise MocapError(f"person {motion.person} has no frames", remedy="export another person", path=path)
     names = marker_names(motion.names, style.marker_names)
@@ -256,8 +227,7 @@ def write_opensim(path: Path, poses: PersonPoses, motion: Motion, fps: float, st
     write_osim(path, bodies)
     write_marker_set(beside["markers.xml"], bodies)
     write_trc(beside["ik.trc"], motion, fps, markers=style.marker_names, is_filled=True)
-    coordinates = opensim_coordinates(poses, style.angles)
-    write_mot(beside["ik.mot"], motion.time_s, coordinates)
+    write_mot(beside["ik.mot"], motion.time_s, person.coordinates)
     write_ik_setup(
         beside["ik.xml"],
         model=path.name,
@@ -265,7 +235,7 @@ def write_opensim(path: Path, poses: PersonPoses, motion: Motion, fps: float, st
         coordinates=beside["ik.mot"].name,
         motion=f"{stem}_ik_result.mot",
         markers=list(names.values()),
-        held={name: weight for name, weight in _HELD.items() if name in coordinates},
+        held={name: weight for name, weight in _HELD.items() if name in person.coordinates},
         time_s=motion.time_s,
     )
     write_scale_setup(

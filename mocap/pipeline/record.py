@@ -6,6 +6,7 @@ import platform
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ from mocap.errors import DISTRIBUTION
 from mocap.io.session import Session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import Config, config_hash
-from mocap.pose.result import PersonPoses, motion_of
+from mocap.pose.kinematics import Kinematics
+from mocap.pose.method import Method
+from mocap.pose.result import PersonPoses
 
 # Besides the stages, outputs take time: tables, exports, scene and report.
 OUTPUTS = "report"
@@ -94,18 +97,24 @@ class RunRecord:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a run has found, out of its store.  tracks : None when it ended before them."""
+    """What a run has found, out of its store.  tracks : None when it ended before them.  method : of the run."""
 
     session: Session
     store: StageStore
     kind: str
     tracks: Tracks | None
     poses: tuple[PersonPoses, ...]
+    method: Method
+
+    @cached_property
+    def people(self) -> list[Kinematics]:
+        """What follows from the poses of every person."""
+        return [Kinematics(p, self.session.fps, self.method) for p in self.poses]
 
     @property
     def motions(self) -> list[Motion]:
         """Landmarks of every person."""
-        return [motion_of(p, self.session.fps) for p in self.poses]
+        return [person.motion for person in self.people]
 
     @property
     def hulls(self) -> StageStore | None:

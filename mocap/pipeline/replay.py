@@ -72,7 +72,7 @@ def _places(poses: PersonPoses, frames: NDArray[np.int64]) -> Array:
     return out
 
 
-def charts_of(poses: PersonPoses, angles: AngleSeries, fps: float, gait: Gait) -> list[Chart]:
+def charts_of(poses: PersonPoses, angles: AngleSeries, gait: Gait, fps: float) -> list[Chart]:
     """Curves of one person: speed, heights, contacts of feet where the body has them, and the angles that it has.
 
     A single frame has none.

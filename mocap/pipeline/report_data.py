@@ -13,9 +13,7 @@ from mocap.pipeline.panels import frame_panels
 from mocap.pipeline.pictures import RunPictures, read_pictures
 from mocap.pipeline.record import OUTPUTS, Found, RunRecord, RunResult, printable
 from mocap.pipeline.replay import charts_of, person_summary, replay_of
-from mocap.pose.angles import angles_of
 from mocap.pose.doubt import doubts_of_all
-from mocap.pose.steps import gait_of
 from mocap.view import REPORT_SCORES, PersonPage, Place, ReportData, write_report
 
 OUTPUT_WORDS = {
@@ -82,24 +80,21 @@ def gather_report(result: RunResult, pictures: RunPictures) -> ReportData:
         versions=dict(record.versions),
         silhouettes=silhouette_numbers(record, found),
         replay=replay_of(found, pictures.sheets) if n else None,
-        people=tuple(_people(record, found)),
-        places=tuple(_places(record, found)),
+        people=tuple(_people(found)),
+        places=tuple(_places(found)),
     )
 
 
-def _people(record: RunRecord, found: Found) -> Iterator[PersonPage]:
+def _people(found: Found) -> Iterator[PersonPage]:
     """Curves and numbers of every person."""
-    fps = found.session.fps
-    for poses in found.poses:
-        angles = angles_of(poses, fps, record.config.method.angles)
-        gait = gait_of(poses, fps, record.config.method.contact)
-        charts = tuple(charts_of(poses, angles, fps, gait))
-        yield PersonPage(f"person {poses.person}", charts, person_summary(poses, angles, gait, fps))
+    for person in found.people:
+        told = person.poses, person.angles, person.gait, person.fps
+        yield PersonPage(f"person {person.poses.person}", tuple(charts_of(*told)), person_summary(*told))
 
 
-def _places(record: RunRecord, found: Found) -> Iterator[Place]:
+def _places(found: Found) -> Iterator[Place]:
     """What is worth looking at."""
-    for doubt in doubts_of_all(found.poses, found.session.fps, record.config.method.doubt):
+    for doubt in doubts_of_all(found.poses, found.session.fps, found.method.doubt):
         name, why = f"person {doubt.person}", "; ".join(doubt.reasons)
         yield Place(name, doubt.frames, doubt.worst, doubt.value, why)
 

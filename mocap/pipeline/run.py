@@ -151,6 +151,7 @@ def found_in(job: Job, kind: str, until: str) -> Found:
         if tracks_product.PRODUCT in products
         else None,
         poses=tuple(stored_poses(job.store)) if poses_product.PRODUCT in products else (),
+        method=job.config.method,
     )
 
 
@@ -168,7 +169,7 @@ def publish_run(
     is_whole = until == OUTPUTS
     started = time.perf_counter()
     with part(OUTPUTS), published(out) as folder:
-        write_tables(found, job.config, folder, has_poses=until in _WITH_POSES)
+        write_tables(found, folder, has_poses=until in _WITH_POSES)
         record = _record(job, found, steps, until=until, command=command, scores=scores)
         record = _warning(record, unscored)
         if is_whole:
@@ -206,7 +207,9 @@ def _written(record: RunRecord, job: Job, found: Found, folder: Path, out: Path)
             n_threads=job.n_threads,
         )
         gathered = beside.submit(lambda: gather_report(result, read.result())) if with_report else None
-        left_out = write_exports(found, job.config, folder, pictures=read.result, progress=job.progress)
+        left_out = write_exports(
+            found, job.config.output, folder, pictures=read.result, progress=job.progress
+        )
     record = _warning(record, left_out)
     if gathered is None:
         return record

@@ -59,15 +59,17 @@ def angles_of_states(body: Body, states: Array) -> Array:
     return np.stack([found[name] for name in names], axis=1) if names else np.zeros((len(states), 0))
 
 
-def angles_of(poses: PersonPoses, fps: float, settings: AngleSettings) -> AngleSeries:
+def angles_of(
+    poses: PersonPoses, fps: float, settings: AngleSettings, anatomy: tuple[Array, Array] | None = None
+) -> AngleSeries:
     """The anatomical angles of one person, with standard deviations and whether they were observed.
 
     The covariance of a pose is that which its landmarks' covariances leave, with what is known of a joint without data;
-    it is carried to the angles by their derivatives, and what bodies differ in is added. The angles are those of
-    `anatomical_states`.
+    it is carried to the angles by their derivatives, and what bodies differ in is added.  anatomy : what
+    `anatomical_states` gives, the angles are those of its poses; None = not known yet.
     """
     body, names = poses.body, body_angles(poses.body)
-    states, variance = anatomical_states(poses, settings)
+    states, variance = anatomical_states(poses, settings) if anatomy is None else anatomy
     pairs = [settings.of_angle.get(_kind(name), settings.of_others) for name in names]
     floor_deg, factor = np.array(pairs).reshape(-1, 2).T
     values = angles_of_states(body, states)

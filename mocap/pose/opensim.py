@@ -12,9 +12,7 @@ from mocap.body import Body, joint_transforms
 from mocap.data import landmark_names
 from mocap.data.opensim import OpenSimBody
 from mocap.metrics.anatomy import ISB_FROM_OURS, Joint, joints_of, segment_joints, standing_rotations
-from mocap.pose.angles import anatomical_states, angles_of_states, body_angles
-from mocap.pose.method import AngleSettings
-from mocap.pose.result import PersonPoses
+from mocap.pose.angles import angles_of_states, body_angles
 
 Array = NDArray[np.float64]
 
@@ -75,11 +73,6 @@ def coordinate_of_angle(angle: str) -> tuple[str, float] | None:
     return None
 
 
-def opensim_coordinates(poses: PersonPoses, settings: AngleSettings) -> dict[str, Array]:
-    """Coordinate -> (T,), degrees and metres, of the poses that the angles of `angles_of` are those of."""
-    return coordinates_of_states(poses.body, anatomical_states(poses, settings)[0])
-
-
 def coordinates_of_states(body: Body, states: Array) -> dict[str, Array]:
     """Coordinate -> (T,), degrees and metres, unwrapped over time, of states (T, D); empty without a pelvis."""
     R, t = joint_transforms(body, states)
@@ -99,7 +92,7 @@ def coordinates_of_states(body: Body, states: Array) -> dict[str, Array]:
 
 
 def opensim_bodies(body: Body, markers: Mapping[str, str]) -> list[OpenSimBody]:
-    """The body as a model of OpenSim, in metres; its coordinates are those of `opensim_coordinates`.
+    """The body as a model of OpenSim, in metres; its coordinates are those of `coordinates_of_states`.
 
     markers : landmark -> name, those that the model carries. With all coordinates 0 it stands upright as the body does.
     The shoulder girdle, which the models do not have, is at rest. A spine of two joints is one joint between them.

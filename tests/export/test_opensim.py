@@ -17,8 +17,10 @@ from mocap.data import ALL_LANDMARKS, LANDMARKS, Motion, landmark_names
 from mocap.errors import MocapError
 from mocap.io.formats import MARKER_NAMES, marker_names, read_poses, write_trc
 from mocap.io.formats.trc import without_gaps
+from mocap.pipeline.export import _cut
 from mocap.pipeline.outputs import MotionStyle, write_opensim
-from mocap.pose.method import AngleSettings
+from mocap.pose.kinematics import Kinematics
+from mocap.pose.method import AngleSettings, Method
 from mocap.pose.opensim import coordinates_of_states, opensim_bodies
 from mocap.pose.result import PersonPoses
 
@@ -79,7 +81,7 @@ def test_without_gaps_nothing_changes():
     assert not which.any()
 
 
-def a_walk() -> tuple[PersonPoses, Motion]:
+def a_walk() -> Kinematics:
     """Somebody who marches and rolls over the feet. What OpenSim's models have not is as in standing: the shoulder
     girdle, and a bend of the thoracic spine."""
     states = marching(BODY, T, FPS)
@@ -105,10 +107,10 @@ def a_walk() -> tuple[PersonPoses, Motion]:
         start_frame=0,
         first_pose="",
     )
-    return poses, Motion(1, frames, frames / FPS, places)
+    return Kinematics(poses, FPS, Method(angles=AngleSettings(spine_std_deg=1e6)))
 
 
-STYLE = MotionStyle(marker_names="halpe26", angles=AngleSettings(spine_std_deg=1e6))
+STYLE = MotionStyle(marker_names="halpe26")
 
 
 @pytest.mark.parametrize("preset", ["girdle", "whole"])
@@ -142,8 +144,7 @@ def test_the_model_stands_as_the_body_does(preset):
 
 
 def test_files_name_each_other_and_what_is_in_them(tmp_path):
-    poses, motion = a_walk()
-    write_opensim(tmp_path / "person_1.osim", poses, motion, FPS, STYLE)
+    write_opensim(tmp_path / "person_1.osim", a_walk(), STYLE)
     written = {path.name for path in tmp_path.iterdir()}
     stem = "person_1_"
     assert written == {
@@ -162,10 +163,9 @@ def test_files_name_each_other_and_what_is_in_them(tmp_path):
 
 
 def test_what_is_no_person_is_refused(tmp_path):
-    poses, motion = a_walk()
-    nobody = Motion(1, motion.frames[:0], motion.time_s[:0], motion.landmarks[:0])
+    nobody = Kinematics(_cut(a_walk().poses, np.zeros(T, dtype=bool)), FPS)
     with pytest.raises(MocapError, match="no frames"):
-        write_opensim(tmp_path / "a.osim", poses, nobody, FPS, STYLE)
+        write_opensim(tmp_path / "a.osim", nobody, STYLE)
 
 
 OPENSIM = """
@@ -193,8 +193,7 @@ def coordinates_in(path):
 @pytest.mark.skipif(importlib.util.find_spec("opensim") is None, reason="opensim: the extra `opensim`")
 def test_opensim_finds_our_angles_from_our_markers(tmp_path):
     """Its inverse kinematics on our files as they are, against our coordinates; and its scaling changes nothing."""
-    poses, motion = a_walk()
-    write_opensim(tmp_path / "person_1.osim", poses, motion, FPS, STYLE)
+    write_opensim(tmp_path / "person_1.osim", a_walk(), STYLE)
     shutil.copy(tmp_path / "person_1.osim", tmp_path / "generic.osim")
     said = subprocess.run(
         [sys.executable, "-c", OPENSIM, str(tmp_path)],

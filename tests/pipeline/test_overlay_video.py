@@ -28,7 +28,7 @@ from mocap.pipeline.record import Found
 from mocap.pipeline.replay import charts_of, person_summary, replay_of, speeds_m_s
 from mocap.pose.angles import angles_of
 from mocap.pose.contacts import Contacts
-from mocap.pose.method import AngleSettings
+from mocap.pose.method import AngleSettings, Method
 from mocap.pose.result import PersonPoses
 from mocap.pose.steps import Gait, Stance, Step
 
@@ -61,7 +61,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
     )
     store = StageStore(tmp_path_factory.mktemp("store") / "store.zarr")
     # As from keypoints: without hulls, of which there are none here.
-    return Found(session, store, "keypoints", None, (poses,))
+    return Found(session, store, "keypoints", None, (poses,), Method())
 
 
 def test_every_camera_has_a_video_with_the_body_in_it(found: Found, tmp_path: Path) -> None:
@@ -155,13 +155,13 @@ def test_speed_and_curves_have_gaps_where_nobody_was(found: Found) -> None:
     assert std == pytest.approx(np.sqrt(2) * 0.006 * FPS / 2)
     heel_and_toe = np.tile([0.9, 0.1, 0.2, 0.3], (len(poses.frames), 1))
     gait = Gait(1, Contacts(heel_and_toe, np.zeros(4), np.zeros_like(heel_and_toe)))
-    charts = charts_of(poses, angles_of(poses, FPS, AngleSettings()), FPS, gait)
+    charts = charts_of(poses, angles_of(poses, FPS, AngleSettings()), gait, FPS)
     (contact,) = [c for c in charts if c.title == "Foot on the floor"]
     assert [(c.label, np.nanmax(c.values)) for c in contact.curves] == [("left", 0.9), ("right", 0.3)]
-    without = charts_of(poses, angles_of(poses, FPS, AngleSettings()), FPS, Gait(1, None))
+    without = charts_of(poses, angles_of(poses, FPS, AngleSettings()), Gait(1, None), FPS)
     assert {c.title for c in charts} - {c.title for c in without} == {"Foot on the floor"}
     instant = replace(poses, frames=poses.frames[:1])
-    assert charts_of(instant, angles_of(poses, FPS, AngleSettings()), FPS, gait) == [], (
+    assert charts_of(instant, angles_of(poses, FPS, AngleSettings()), gait, FPS) == [], (
         "no lines, no empty grids"
     )
     assert {"Speed over the floor", "Hip flexion", "Knee flexion", "Pelvis tilt"} <= {c.title for c in charts}

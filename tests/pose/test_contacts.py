@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path as FilePath
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,9 @@ from mocap.io.formats import write_c3d
 from mocap.pipeline.outputs import MOVE_COLUMNS, foot_events, write_moves_csv
 from mocap.pose.contacts import SOLE_POINTS, Contacts, contacts_of, held, lowest_level, slips_m, unbroken_runs
 from mocap.pose.deviation import FrameSeries
+from mocap.pose.kinematics import Kinematics
 from mocap.pose.method import ContactSettings, Method
+from mocap.pose.moves import moves_of
 from mocap.pose.result import PersonPoses, motion_of
 from mocap.pose.smooth import smooth_motion
 from mocap.pose.steps import check_floor, gait_numbers, gait_of, stances_of, warnings_of_gait
@@ -227,7 +228,7 @@ def test_strikes_and_offs_are_events_of_a_c3d_file(tmp_path: FilePath) -> None:
     ezc3d = pytest.importorskip("ezc3d")
     poses = poses_of(walk())
     poses = replace(poses, frames=poses.frames + 30)
-    events = foot_events(poses, FPS, SETTINGS)
+    events = foot_events(Kinematics(poses, FPS, Method(contact=SETTINGS)))
     assert {event.side for event in events} == {"Left", "Right"}
     write_c3d(tmp_path / "walk.c3d", motion_of(poses, FPS), FPS, events)
     group = ezc3d.c3d(str(tmp_path / "walk.c3d"))["parameters"]["EVENT"]
@@ -261,9 +262,9 @@ def test_jumps_and_squats_are_a_table(tmp_path: FilePath) -> None:
     poses = poses_of(
         np.concatenate([figure_landmarks(figure, *where), feet_and_hands_of(figure, *where)], axis=1)
     )
-    found = SimpleNamespace(poses=(poses,), session=SimpleNamespace(fps=FPS))
+    person = Kinematics(poses, FPS, Method(contact=SETTINGS))
     path = tmp_path / "moves.csv"
-    write_moves_csv(path, [gait_of(poses, FPS, SETTINGS)], found)
+    write_moves_csv(path, [person])
     head, row = path.read_text().splitlines()
     move = dict(zip(head.split(","), row.split(","), strict=True))
     assert tuple(move) == MOVE_COLUMNS
@@ -271,7 +272,8 @@ def test_jumps_and_squats_are_a_table(tmp_path: FilePath) -> None:
     pelvis = poses.landmarks[:, 0, 2]
     assert int(move["extreme_frame"]) == int(poses.frames[0]) + pelvis.argmax()
     assert float(move["height_m"]) == pytest.approx(pelvis.max() - pelvis[0], abs=0.005)
-    write_moves_csv(path, [replace(gait_of(poses, FPS, SETTINGS), contacts=None)], found)
+    assert moves_of(poses, replace(person.gait, contacts=None), FPS) == ()
+    write_moves_csv(path, [])
     assert path.read_text() == ",".join(MOVE_COLUMNS) + "\n"
 
 

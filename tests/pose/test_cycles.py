@@ -1,6 +1,7 @@
 """Gait cycles: which strides make one, and angles on the scale of percent."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,14 +88,19 @@ def test_an_angle_that_passes_a_half_turn_is_not_averaged_across_it() -> None:
     assert np.abs(np.diff(left.mean("pelvis_tilt")[0])).max() < 0.05
 
 
+def walker(found: Gait) -> SimpleNamespace:
+    """What the table asks of `Kinematics`."""
+    return SimpleNamespace(poses=SimpleNamespace(person=found.person), cycles=cycles_of(found, angles()))
+
+
 def test_the_table_has_a_row_per_percent(tmp_path: Path) -> None:
     path = tmp_path / "cycles.csv"
-    write_cycles_csv(path, [gait(left=2)], [angles()])
+    write_cycles_csv(path, [walker(gait(left=2))])
     head, *rows = path.read_text().splitlines()
     assert tuple(head.split(",")) == CYCLE_COLUMNS
     assert len(rows) == 4 * len(PERCENT)  # a cycle of each foot, each with its knee and the pelvis
     assert rows[25] == "1,left,1,60.0,left_knee_flexion,25,56.98,,1.15"
-    write_cycles_csv(path, [Gait(1, None)], [angles()])
+    write_cycles_csv(path, [walker(Gait(1, None))])
     assert path.read_text() == ",".join(CYCLE_COLUMNS) + "\n"
 
 

@@ -1,0 +1,72 @@
+"""Kinematics of one person: all that follows from the poses, computed once for whatever tells it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap.data import AngleSeries, Motion
+from mocap.pose.angles import anatomical_states, angles_of
+from mocap.pose.cycles import GaitCycles, cycles_of
+from mocap.pose.method import Method
+from mocap.pose.moves import Move, moves_of
+from mocap.pose.opensim import coordinates_of_states
+from mocap.pose.result import PersonPoses, motion_of
+from mocap.pose.steps import Gait, gait_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Kinematics:
+    """What tables, exports and report tell of one person; each is computed when it is first asked for.
+
+    method : its settings of angles and contacts are looked at.
+    """
+
+    poses: PersonPoses
+    fps: float
+    method: Method = field(default_factory=Method)
+
+    @property
+    def first_frame(self) -> int:
+        """The frame of the first pose, 0 without one."""
+        return int(self.poses.frames[0]) if len(self.poses.frames) else 0
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Landmarks."""
+        return motion_of(self.poses, self.fps)
+
+    @cached_property
+    def angles(self) -> AngleSeries:
+        """Anatomical angles."""
+        return angles_of(self.poses, self.fps, self.method.angles, self._anatomy)
+
+    @cached_property
+    def coordinates(self) -> dict[str, Array]:
+        """Coordinate of OpenSim -> (T,), degrees and metres, of the poses that the angles are those of."""
+        return coordinates_of_states(self.poses.body, self._anatomy[0])
+
+    @cached_property
+    def gait(self) -> Gait:
+        """Contacts and steps."""
+        return gait_of(self.poses, self.fps, self.method.contact)
+
+    @cached_property
+    def cycles(self) -> tuple[GaitCycles, ...]:
+        """Angles over the gait cycles of both feet."""
+        return cycles_of(self.gait, self.angles)
+
+    @cached_property
+    def moves(self) -> tuple[Move, ...]:
+        """Jumps and squats."""
+        return moves_of(self.poses, self.gait, self.fps)
+
+    @cached_property
+    def _anatomy(self) -> tuple[Array, Array]:
+        # By far the longest of all: angles and coordinates share it.
+        return anatomical_states(self.poses, self.method.angles)
