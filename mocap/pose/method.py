@@ -67,8 +67,6 @@ class EvidenceSettings(_Strict):
     """A part that lies in the hull by a smaller share teaches no colours."""
     texture_frames: int = 120
     """Frames of a clip, evenly spread, that its texture is learnt from; half as many teach as much (decision 71)."""
-    pair_posture: float = 4.0
-    """With two cameras and nothing but volumes `pose.posture_nats` is worth so many times as much (decision 77)."""
     unexplained_m: float = 0.05
     """A point of the hull further than this from the body is not explained by it."""
 

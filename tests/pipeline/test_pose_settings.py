@@ -3,14 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 from flesh_voxels import make_flesh
-from marker_world import ring
 
-from mocap.body import load_body_model, neutral_state, scale_body
+from mocap.body import load_body_model, neutral_state
 from mocap.data import LANDMARKS
 from mocap.errors import MocapError
 from mocap.filters import FILTERS, FilterBudget, FilterInfo, FilterSettings, ParticleState, filter_settings
@@ -18,12 +17,9 @@ from mocap.filters.ddma import DdmaSettings, DdmaState, ShbmDdmaSettings
 from mocap.filters.shbm import ShbmSettings
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig, load_config
 from mocap.pipeline.pose_settings import filter_budget, make_tools, stated_height_m
-from mocap.pipeline.stage import Job
-from mocap.pipeline.stages.pose import PoseWork
 from mocap.pose.follow import follow_pose
-from mocap.pose.method import Method
 from mocap.pose.person import VolumeClip
-from mocap.pose.volume import HullOf, VolumeObservation, VolumeTools
+from mocap.pose.volume import VolumeObservation
 
 FLESH = make_flesh("anthropometric", 1.74, 0.04)
 LAYOUT = FLESH.body.layout
@@ -171,21 +167,3 @@ def test_lost_parts_reach_the_landmarks_and_states_keep_their_kind(
     assert seen == [(0,), (1,), (2,)], (
         "what the filter remembers lives on when particles are moved or fed back"
     )
-
-
-@pytest.mark.parametrize(("n_cameras", "times"), [(2, Method().evidence.pair_posture), (3, 1.0), (7, 1.0)])
-def test_what_is_usual_counts_for_more_where_two_cameras_see_volumes_alone(
-    n_cameras: int, times: float
-) -> None:
-    rig, config = ring(n_cameras, (192, 240), np.zeros(5)), load_config()
-    job = cast(Job, SimpleNamespace(session=SimpleNamespace(rig=rig, fps=25.0), config=config))
-    assert times >= 1.0
-    assert PoseWork(job).pose.posture_nats == times * config.pose.posture_nats
-    assert PoseWork(job).pose.model_copy(update={"posture_nats": config.pose.posture_nats}) == config.pose
-
-    def others(tools: VolumeTools, hull_of: HullOf, person: int) -> VolumeObservation:
-        return VolumeObservation(tools, hull_of)
-
-    assert PoseWork(job, observation_of=others).pose == config.pose
-    body = scale_body(load_body_model("whole"), 1.7)
-    assert PoseWork(job).tools_of(body).settings.posture_nats == times * config.pose.posture_nats

@@ -32,7 +32,6 @@ from mocap.likelihood.residuals import (
     person_outlines,
     pinhole_view,
 )
-from mocap.pipeline.config import PoseConfig
 from mocap.pipeline.edits.followed import solve_persons
 from mocap.pipeline.pose_settings import make_tools, pose_settings, stated_height_m
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport
@@ -77,9 +76,6 @@ def pose_stage(job: Job) -> None:
     solve_poses(job, volumes_alone)
 
 
-# Cameras whose hull is so much larger than the person that a limb fits where it is not.
-PAIR = 2
-
 # Tools, hulls and number of a person -> what is seen of it.
 ObservationOf = Callable[[VolumeTools, HullOf, int], VolumeObservation]
 
@@ -112,15 +108,6 @@ class PoseWork:
     observation_of: ObservationOf = volumes_alone
     known: KnownPoints = field(default_factory=dict)
 
-    @property
-    def pose(self) -> PoseConfig:
-        """The settings of the stage. What is usual counts for more where two cameras are all that tells of a limb."""
-        config = self.job.config
-        if len(self.job.session.rig) != PAIR or self.observation_of is not volumes_alone:
-            return config.pose
-        nats = config.method.evidence.pair_posture * config.pose.posture_nats
-        return config.pose.model_copy(update={"posture_nats": nats})
-
     def tools(self, height_m: float, n_threads: int) -> VolumeTools:
         """Tools of a person of a height."""
         config = self.job.config
@@ -130,7 +117,7 @@ class PoseWork:
             self.job.session.fps,
             height_m,
             model,
-            self.pose,
+            config.pose,
             config.likelihood,
             n_threads,
             config.method,
@@ -139,7 +126,7 @@ class PoseWork:
     def tools_of(self, body: Body, marker_offsets: NDArray[np.float64] | None = None) -> PersonTools:
         """What a person is followed with whose body is known already, less its look-up table."""
         config = self.job.config
-        settings = pose_settings(self.pose, config.method, body.layout)
+        settings = pose_settings(config.pose, config.method, body.layout)
         return PersonTools(body, self.job.session.fps, settings, 1)
 
     def hull_of(self, person: int) -> HullOf:
