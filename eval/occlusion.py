@@ -108,8 +108,8 @@ def map_scores(session: Path, out: Path) -> tuple[float | None, float | None]:
     furniture hides from a camera lie behind its map, and how many of those that it sees, or that the own body covers.
     None where there are none, or where the truth does not say who sees what.
     """
-    files = sorted((session / "truth" / "views").glob("*.npz"))
     rig = open_session(session).rig
+    files = [f for f in sorted((session / "truth" / "views").glob("*.npz")) if f.stem in rig.names]
     maps = stored_occluders(StageStore(out / "store.zarr"), rig)
     true = read_landmarks_csv(session / "truth" / "landmarks.csv")
     n = np.zeros((2, 2))

@@ -213,7 +213,8 @@ def _fork() -> int:
     came: list[int] = []
     before = {number: signal.getsignal(number) for number in _ENDING}
     # Handlers of Python run in the main thread alone: another one that forks has none to wait for.
-    waiting = [number for number, handler in before.items() if callable(handler) and _is_main()]
+    is_main = current_thread() is main_thread()
+    waiting = [number for number, handler in before.items() if is_main and callable(handler)]
     for number in waiting:
         signal.signal(number, lambda number, frame: came.append(number))
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
@@ -238,10 +239,6 @@ def _fork() -> int:
         os.waitpid(process, 0)
         raise
     return process
-
-
-def _is_main() -> bool:
-    return current_thread() is main_thread()
 
 
 def _work(job: Job, reading: int, writing: int) -> None:

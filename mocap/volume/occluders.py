@@ -93,8 +93,8 @@ class OccluderLearner:
         self.n_blocked = np.zeros((len(rig), self._space.n_voxels), dtype=np.uint16)
         self._places, self._looked = np.zeros((0, 12)), np.zeros(0, dtype=np.int64)
         self._n_looks = 0
-        # Of each camera: the frames it was asked in, and those in which it was odd.
-        self._n_asked, self._n_odd = np.zeros((2, len(rig)), dtype=np.int64)
+        # Frames that have said something, and of each camera those of them in which it was odd.
+        self._n_telling, self._n_odd = 0, np.zeros(len(rig), dtype=np.int64)
         self._was_blocked = [np.zeros(camera.size[::-1], dtype=np.uint8) for camera in self._rig]
         # The farthest and the second farthest depth at which each cell has shown a person; one may be a mistake.
         self._seen_m = [np.full((2, *camera.size[::-1]), -np.inf, dtype=np.float32) for camera in self._rig]
@@ -124,7 +124,7 @@ class OccluderLearner:
         if not is_sure.any():
             return False
         everything = np.ones(len(voxels), dtype=np.bool_)
-        self._n_asked += 1
+        self._n_telling += 1
         for c, own in enumerate(cells):
             near = squares.nearest(c, is_sure)
             missed = squares.nearest(c, is_sure & objects[c])
@@ -146,7 +146,7 @@ class OccluderLearner:
         What hid somebody from this camera itself counts when it stands behind whoever the cell has shown. What hid
         somebody from two others counts until the cell has shown somebody behind it.
         """
-        has_moved = self._n_odd > np.maximum(_OFTEN * self._n_asked, _FEW_FRAMES)
+        has_moved = self._n_odd > max(_OFTEN * self._n_telling, _FEW_FRAMES)
         n_blocked = np.where(has_moved[:, None], np.uint16(0), self.n_blocked)
         solid = solid_voxels(self._space, self.n_free, n_blocked)
         squares = _squares(self._rig, self._space.centers(solid), self._space.voxel_size_m)
