@@ -19,7 +19,7 @@ RUN_SCORES = (
     "mota_percent",
     "volume_iou",
     "coverage_90_percent",
-    "silent_error_percent",
+    "silent_errors",
 )
 MORE_SCORES = (
     "pck_auc_percent",

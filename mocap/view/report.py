@@ -64,7 +64,7 @@ REPORT_SCORES = (
     "mismatches",
     "volume_iou",
     "coverage_90_percent",
-    "silent_error_percent",
+    "silent_errors",
     "frames",
 )
 MASK_NUMBERS: dict[str, tuple[str, str]] = {
