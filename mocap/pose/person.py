@@ -22,6 +22,8 @@ from mocap.pose.start import (
     FirstPose,
     PoseSearch,
     affordable_first_poses,
+    against_walking,
+    heading_of,
     settle_first_poses,
     try_first_poses,
     walking_velocity,
@@ -126,7 +128,7 @@ def choose_hypothesis(
     """The hypothesis that explains the seconds around its start best, and the mean log-likelihood of each, (K,).
 
     Each is followed over every third frame with few particles. Front and back look alike in one frame; knees and
-    elbows that bend tell them apart over time.
+    elbows that bend, and the way that the person goes, tell them apart over time.
     """
     tools, frames = clip.observation.tools, clip.frames
     numbers = tools.settings.method.start
@@ -140,12 +142,17 @@ def choose_hypothesis(
     quick = clip.with_tools(brisk)
     reach = round(numbers.trial_s * tools.fps)
     values = []
+
+    def worth(pose: FramePose) -> float:
+        heading = heading_of(walking_velocity(clip, pose.row, numbers), numbers)
+        return pose.evidence - float(against_walking(tools.body, pose.state[None], heading, numbers)[0])
+
     for hypothesis in hypotheses:
         start = int(np.searchsorted(frames, hypothesis.frame))
         later = range(start, min(len(clip), start + reach), stride)
         earlier = range(start, max(-1, start - reach), -stride)
         reached = [
-            pose.evidence
+            worth(pose)
             for order in (later, earlier)
             for pose in follow_pose(quick, order, hypothesis.state, seed=seed, stage="trial")
         ]

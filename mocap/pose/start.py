@@ -54,10 +54,7 @@ class PoseSearch:
     @property
     def heading(self) -> float | None:
         """Direction of walking, rad, or None for a person who stays."""
-        slowest = self.settings.method.start.walking_m_s
-        if self.walking_xy is None or float(np.hypot(*self.walking_xy)) <= slowest:
-            return None
-        return float(np.arctan2(self.walking_xy[1], self.walking_xy[0]))
+        return heading_of(self.walking_xy, self.settings.method.start)
 
     @property
     def std(self) -> Array:
@@ -69,10 +66,7 @@ class PoseSearch:
     def score(self, states: Array) -> Array:
         """Log-likelihood of states (N, D) with the prior on the direction, (N,)."""
         value = self.evidence.log_likelihood(states)
-        yaw, heading = self.body.yaw_column, self.heading
-        if yaw is not None and heading is not None:
-            value -= self.settings.method.start.facing_nats * (1.0 - np.cos(states[:, yaw] - heading))
-        return value
+        return value - against_walking(self.body, states, self.heading, self.settings.method.start)
 
     def judge(self, states: Sequence[Array]) -> Array:
         """The evidence of states with the prior on the direction, (K,) nats."""
@@ -205,3 +199,17 @@ def walking_velocity(clip: PersonClip, i: int, settings: StartSettings) -> Array
     if a == b or xyz is None:
         return None
     return (xyz[b, :2] - xyz[a, :2]) * fps / float(frames[b] - frames[a])
+
+
+def heading_of(walking_xy: Array | None, settings: StartSettings) -> float | None:
+    """Direction in which somebody walks, rad; None for one who stays.  walking_xy : (2,) m/s, or None."""
+    if walking_xy is None or float(np.hypot(*walking_xy)) <= settings.walking_m_s:
+        return None
+    return float(np.arctan2(walking_xy[1], walking_xy[0]))
+
+
+def against_walking(body: Body, states: Array, heading: float | None, settings: StartSettings) -> Array:
+    """What it costs states (N, D) to face against the direction of walking, (N,) nats; heading : rad, or None."""
+    if heading is None or body.yaw_column is None:
+        return np.zeros(len(states))
+    return np.asarray(settings.facing_nats * (1.0 - np.cos(states[:, body.yaw_column] - heading)))

@@ -1,0 +1,65 @@
+"""Two first poses that the volumes explain equally well: the way that the person goes decides between them."""
+
+from collections.abc import Iterator, Sequence
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from flesh_voxels import Flesh
+
+from mocap.body import neutral_state
+from mocap.pipeline.config import LikelihoodConfig, PoseConfig
+from mocap.pipeline.pose_settings import make_tools
+from mocap.pose import person
+from mocap.pose.person import VolumeClip, choose_hypothesis
+from mocap.pose.start import FirstPose
+from mocap.pose.volume import VolumeObservation
+
+FPS = 30.0
+N_FRAMES = 40
+EVIDENCE = -100.0
+
+
+def clip_of(flesh: Flesh, speed_m_s: float) -> VolumeClip:
+    """A person who goes along +y."""
+    tools = make_tools(flesh.grid, FPS, 1.74, "anthropometric", PoseConfig(), LikelihoodConfig(), 1)
+    xyz = np.zeros((N_FRAMES, 3))
+    xyz[:, 1] = speed_m_s * np.arange(N_FRAMES) / FPS
+    return VolumeClip(1, np.arange(N_FRAMES), xyz, VolumeObservation(tools, lambda frame: None))
+
+
+def facing(clip: VolumeClip, yaw: float, log_likelihood: float) -> FirstPose:
+    state = neutral_state(clip.observation.tools.body)
+    state[clip.observation.tools.body.yaw_column] = yaw
+    return FirstPose(20, state, "stand", log_likelihood)
+
+
+@pytest.fixture
+def like_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every pose stays as it began, and is worth the same but for a nat that the one facing -y gains."""
+
+    def follow(
+        clip: VolumeClip, order: Sequence[int], first: np.ndarray, *, seed: int, stage: str
+    ) -> Iterator[SimpleNamespace]:
+        gain = 1.0 if first[clip.observation.tools.body.yaw_column] < 0 else 0.0
+        for row in order:
+            yield SimpleNamespace(row=row, state=first, evidence=EVIDENCE + gain)
+
+    monkeypatch.setattr(person, "follow_pose", follow)
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "ahead", "lost"),
+    [
+        (1.2, True, 16.0),  # facing_nats, twice, of who faces straight against his way
+        (0.1, False, 0.0),
+    ],
+)
+def test_who_walks_faces_the_way_that_he_goes(
+    coarse_flesh: Flesh, like_each_other: None, speed_m_s: float, ahead: bool, lost: float
+) -> None:
+    clip = clip_of(coarse_flesh, speed_m_s)
+    hypotheses = [facing(clip, -np.pi / 2, -50.0), facing(clip, np.pi / 2, -60.0)]
+    best, values = choose_hypothesis(clip, hypotheses, seed=0)
+    assert best is hypotheses[1 if ahead else 0]
+    np.testing.assert_allclose(values, [EVIDENCE + 1.0 - lost, EVIDENCE])
