@@ -61,7 +61,7 @@ def volume_overlap(truth_dir: Path, store: StageStore) -> VolumeScores | None:
     if abs(truth.grid.voxel_size_m - grid.voxel_size_m) > 1e-9:
         return None
     scores = []
-    for frame, arrays in reader:
+    for frame, arrays in reader.rows("voxels"):
         if frame >= len(truth):
             break
         on_grid = grid.voxels_of(truth.grid.centers(truth.at(frame)))
@@ -91,7 +91,7 @@ def lost_limbs(
     judged = _judged_by_frame(estimate, truth, frames)
     rows = [
         (_shares_in_hull(landmarks, arrays["voxels"], grid), ~observed[_JUDGES])
-        for frame, arrays in reader
+        for frame, arrays in reader.rows("voxels")
         for landmarks, observed in judged.get(frame, ())
     ]
     if not rows:

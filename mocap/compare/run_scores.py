@@ -3,39 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from mocap.compare.hulls import volume_overlap
 from mocap.compare.scores import evaluate
 from mocap.data import Motion, Tracks
+from mocap.io.session import Session
 from mocap.io.store import StageStore
-from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 
 
 def score_run(
-    truth_dir: Path | None,
+    session: Session,
     motions: Sequence[Motion],
     tracks: Tracks | None,
     *,
-    frames: Sequence[int],
     hulls: StageStore | None,
     epsilon_mm: float = 100.0,
 ) -> dict[str, Any] | None:
     """All scores of a run, or None when the session holds no truth files.
 
-    truth_dir : of the session, None = it has none.  motions, tracks : what the run found.  frames : it worked on.
-    hulls : the store with its hulls, None = it made none, and the volume is not scored.
+    motions, tracks : what the run found.  hulls : the store with its hulls, None = it made none, and the volume is not
+    scored.
     """
-    if truth_dir is None or not (truth_dir / "landmarks.csv").exists():
+    truth = session.true_motions
+    if truth is None or session.truth_dir is None:
         return None
-    tracks_path = truth_dir / "tracks.csv"
     return evaluate(
         motions,
-        read_landmarks_csv(truth_dir / "landmarks.csv"),
+        truth,
         tracks,
-        read_tracks_csv(tracks_path) if tracks_path.exists() else None,
-        None if hulls is None else volume_overlap(truth_dir, hulls),
+        session.true_tracks,
+        None if hulls is None else volume_overlap(session.truth_dir, hulls),
         epsilon_mm,
-        frames=list(frames),
+        frames=list(session.frames),
     )

@@ -18,17 +18,23 @@ ANGLE_COLUMNS = ("frame", "time_s", "person", "angle", "value_deg", "std_deg", "
 
 def write_angles_csv(path: Path | str, series: Sequence[AngleSeries]) -> None:
     """Write the angles of all persons, rows by frame, person and order of the angles; NaN is written as `nan`."""
-    lines = [",".join(ANGLE_COLUMNS)]
-    rows = sorted((int(f), s.person, k, i) for k, s in enumerate(series) for i, f in enumerate(s.frames))
-    for frame, person, k, i in rows:
-        own = series[k]
-        begin = f"{frame},{own.time_s[i]:.6f},{person}"
-        values = np.rad2deg(own.values[i])
-        std = np.full(len(values), np.nan) if own.std is None else np.rad2deg(own.std[i])
-        for a, name in enumerate(own.names):
-            seen = "" if own.observed is None else str(int(own.observed[i, a]))
-            lines.append(f"{begin},{name},{values[a]:.3f},{std[a]:.3f},{seen}")
-    atomic_text(Path(path), "\n".join(lines) + "\n")
+    order = sorted((int(f), s.person, k, i) for k, s in enumerate(series) for i, f in enumerate(s.frames))
+    texts = [_frame_texts(own) for own in series]
+    atomic_text(Path(path), ",".join(ANGLE_COLUMNS) + "\n" + "".join(texts[k][i] for _, _, k, i in order))
+
+
+def _frame_texts(series: AngleSeries) -> list[str]:
+    """The rows of one person, as one text per frame."""
+    values = np.rad2deg(series.values)
+    std = np.full(values.shape, np.nan) if series.std is None else np.rad2deg(series.std)
+    seen = np.full(values.shape, "") if series.observed is None else np.where(series.observed, "1", "0")
+    columns = series.frames, series.time_s, values, std, seen
+    texts = []
+    for frame, time_s, *of_angles in zip(*(c.tolist() for c in columns), strict=True):
+        begin = f"{frame},{time_s:.6f},{series.person}"
+        rows = zip(series.names, *of_angles, strict=True)
+        texts.append("".join(f"{begin},{name},{v:.3f},{s:.3f},{o}\n" for name, v, s, o in rows))
+    return texts
 
 
 def read_angles_csv(path: Path | str) -> list[AngleSeries]:

@@ -294,9 +294,17 @@ class StageReader:
         i = self._row[frame]
         return {name: self._columns[name].read(i) for name in names or self.names}
 
-    def __iter__(self) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+    def rows(self, *names: str) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+        """Frames in order with the arrays of some names; what is not named is neither decoded nor checked."""
         for frame in self.frames:
-            yield int(frame), self.read(int(frame))
+            yield int(frame), self.read(int(frame), names)
+
+    def lengths(self, name: str) -> NDArray[np.int64]:
+        """How many rows an array has in every frame, (n,)."""
+        return self._columns[name].lengths
+
+    def __iter__(self) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+        return self.rows()
 
 
 class _Files:
@@ -375,6 +383,10 @@ class _ColumnReader:
             raise ValueError(f"{name}: rows of frames do not follow each other")
         self._chunk_rows = int(self._data.chunks[0])
         self._held = _Held()
+
+    @property
+    def lengths(self) -> NDArray[np.int64]:
+        return np.diff(self._offsets)
 
     def read(self, i: int) -> NDArray[Any]:
         start, stop = int(self._offsets[i]), int(self._offsets[i + 1])

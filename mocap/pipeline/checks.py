@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from mocap.body import Body, build_look_up_table, load_body_model, scale_body
@@ -10,7 +9,6 @@ from mocap.body.initial import DEFAULT_HEIGHT_M
 from mocap.body.markers import load_marker_set, place_markers
 from mocap.errors import MocapError
 from mocap.io.session import Session
-from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.io.truth import read_true_voxels
 from mocap.pipeline.config import Config
 from mocap.pipeline.outside import check_outside
@@ -94,18 +92,11 @@ def _memory_bytes() -> float:
     return float(total_memory_bytes() or _USUAL_MEMORY_BYTES)
 
 
-_TRUTH: dict[str, Callable[[Path], object]] = {
-    "landmarks.csv": read_landmarks_csv,
-    "tracks.csv": read_tracks_csv,
-    "voxels.npz": read_true_voxels,
-}
-
-
 def check_truth(session: Session) -> None:
     """The truth that the result will be scored against can be read. Raises MocapError."""
-    for name, read in _TRUTH.items():
-        if session.truth_dir is not None and (session.truth_dir / name).exists():
-            read(session.truth_dir / name)
+    _ = session.true_motions, session.true_tracks
+    if session.truth_dir is not None and (session.truth_dir / "voxels.npz").exists():
+        read_true_voxels(session.truth_dir / "voxels.npz")
 
 
 def check_out(out: Path, session: Session) -> None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import LANDMARKS
-from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.metrics import point_errors
 from mocap.pipeline.pictures import chosen_frames
 from mocap.pipeline.record import Found, RunRecord
@@ -49,10 +47,9 @@ def run_charts(record: RunRecord, found: Found) -> Iterator[tuple[Section, Chart
 
 
 def _errors(record: RunRecord, found: Found) -> Iterator[Chart]:
-    truth = found.session.truth_dir
-    if record.scores is None or truth is None or not found.poses:
+    if record.scores is None or not found.poses:
         return
-    for person, (frames, errors) in errors_by_person(found, truth).items():
+    for person, (frames, errors) in errors_by_person(found).items():
         with np.errstate(invalid="ignore"):
             known = np.isfinite(errors).any(axis=1)
         frames, errors = frames[known], errors[known]
@@ -69,13 +66,12 @@ def _errors(record: RunRecord, found: Found) -> Iterator[Chart]:
 def _paths(found: Found) -> Figure:
     from mocap.view import track_map_svg
 
-    truth, true_tracks = found.session.truth_dir, None
-    if truth is not None and (truth / "tracks.csv").exists():
-        true_tracks = read_tracks_csv(truth / "tracks.csv")
     return Figure(
         "Paths from above",
         "Cameras, room and the path of every person; truth dashed where it is known.",
-        track_map_svg(found.session.rig, found.tracks, true_tracks, bounds_m=room_bounds(found)),
+        track_map_svg(
+            found.session.rig, found.tracks, found.session.true_tracks, bounds_m=room_bounds(found)
+        ),
         mime="image/svg+xml",
         section="tracks",
     )
@@ -85,7 +81,8 @@ def _foreground(found: Found) -> Iterator[Chart]:
     """The share of every picture that was taken for a person; a jump in one camera is a light or a bump."""
     if found.hulls is None:
         return
-    rows = [(frame, a["share"]) for frame, a in found.hulls.reader(masks_product.PRODUCT)]
+    masks = found.hulls.reader(masks_product.PRODUCT)
+    rows = [(frame, a["share"]) for frame, a in masks.rows("share")]
     if not rows:
         return
     shares = 100.0 * np.array([share for _, share in rows], dtype=np.float64)
@@ -146,12 +143,11 @@ def silhouette_numbers(record: RunRecord, found: Found) -> SilhouetteNumbers:
     return numbers
 
 
-def errors_by_person(found: Found, truth_dir: Path) -> dict[int, tuple[NDArray[np.int64], Array]]:
+def errors_by_person(found: Found) -> dict[int, tuple[NDArray[np.int64], Array]]:
     """Frames (T,) and landmark errors (T, 15) mm of every estimated person that the truth knows."""
     from mocap.compare import associate_persons
 
-    truth = read_landmarks_csv(truth_dir / "landmarks.csv")
-    errors = {}
+    truth, errors = found.session.true_motions or [], {}
     for estimate, true in associate_persons(found.motions, truth, frames=list(found.session.frames)):
         if estimate is None or true is None:
             continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -124,8 +125,8 @@ def write_cycles_csv(path: Path, people: Sequence[Kinematics]) -> None:
             for name in cycles.names:
                 begin = f"{person.poses.person},{cycles.side},{len(cycles)},{cycles.off_percent.mean():.1f},{name}"
                 columns = np.rad2deg(np.stack(cycles.mean(name), axis=1))
-                for percent, numbers in zip(PERCENT, columns, strict=True):
-                    cells = ["" if np.isnan(v) else f"{v:.2f}" for v in numbers]
+                for percent, numbers in zip(PERCENT.tolist(), columns.tolist(), strict=True):
+                    cells = ["" if math.isnan(v) else f"{v:.2f}" for v in numbers]
                     lines.append(",".join([begin, f"{percent:.0f}", *cells]))
     atomic_text(path, "\n".join(lines) + "\n")
 

@@ -271,9 +271,6 @@ def _warning(record: RunRecord, warnings: Sequence[str]) -> RunRecord:
 def _scores(found: Found) -> tuple[dict[str, Any] | None, list[str]]:
     """Scores against the truth, None without; and a warning when the truth turns out to be bad."""
     try:
-        session = found.session
-        return score_run(
-            session.truth_dir, found.motions, found.tracks, frames=session.frames, hulls=found.hulls
-        ), []
+        return score_run(found.session, found.motions, found.tracks, hulls=found.hulls), []
     except MocapError as error:
         return None, [f"the result is not scored: {error}"]

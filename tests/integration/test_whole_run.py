@@ -229,7 +229,7 @@ def test_scores(full: RunResult, session: Path) -> None:
 
 def test_error_plot_shows_the_scored_errors(full: RunResult, session: Path) -> None:
     """Millimetres, as the scores: the plot once showed a thousand times as much."""
-    errors = errors_by_person(full.found, session / "truth")
+    errors = errors_by_person(full.found)
     assert full.scores is not None
     mean = np.mean([np.nanmean(mm) for _, mm in errors.values()])
     assert mean == pytest.approx(full.scores["mean_error_mm"], rel=1e-6)

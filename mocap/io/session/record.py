@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import Camera, CameraRig
+from mocap.data import Camera, CameraRig, Motion, Tracks
 from mocap.data.depth import DepthUnits
 from mocap.io.calibration import CalibrationFile
 from mocap.io.session.settings import Bounds, Polygon
+from mocap.io.tables import read_landmarks_csv, read_tracks_csv
 from mocap.io.video import ClipInfo
+
+Read = TypeVar("Read")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +68,20 @@ class Session:
     roi_px: dict[str, Polygon] = field(default_factory=dict)
     clip_frames: dict[str, NDArray[np.int64]] = field(default_factory=dict)
     later_calibrations: dict[int, CalibrationFile] = field(default_factory=dict)
+
+    @cached_property
+    def true_motions(self) -> list[Motion] | None:
+        """What truth/landmarks.csv holds, None without it; read when it is first asked for. Raises MocapError."""
+        return self._truth("landmarks.csv", read_landmarks_csv)
+
+    @cached_property
+    def true_tracks(self) -> Tracks | None:
+        """The same of truth/tracks.csv."""
+        return self._truth("tracks.csv", read_tracks_csv)
+
+    def _truth(self, name: str, read: Callable[[Path], Read]) -> Read | None:
+        path = None if self.truth_dir is None else self.truth_dir / name
+        return read(path) if path is not None and path.exists() else None
 
     @property
     def stretches(self) -> tuple[range, ...]:

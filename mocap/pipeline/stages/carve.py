@@ -299,7 +299,7 @@ def _ending(walk: _Walk, faults: tuple[CameraFault, ...]) -> Ending:
 def carve_report(job: Job) -> StageReport:
     """Warnings about empty hulls, and their mean volume."""
     grid, reader = stored_grid(job.store), job.store.reader(PRODUCT)
-    sizes = np.array([len(arrays["voxels"]) for _, arrays in reader])
+    sizes = reader.lengths("voxels")
     empty = float((sizes == 0).mean()) if sizes.size else 1.0
     warnings = []
     if empty == 1.0:
@@ -344,7 +344,7 @@ def _fault_warnings(faults: Sequence[CameraFault], reader: StageReader, session:
     if not faults:
         return []
     names = list(reader.attrs["cameras"])
-    used = np.array([arrays["used"] for _, arrays in reader])
+    used = np.array([arrays["used"] for _, arrays in reader.rows("used")])
     warnings = []
     for fault in faults:
         inside = (reader.frames >= fault.first_frame) & (reader.frames <= fault.last_frame)

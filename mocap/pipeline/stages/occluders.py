@@ -80,7 +80,8 @@ def occluders_report(job: Job) -> StageReport:
     """Share of each picture in which something can stand before people, and cameras that see next to nobody."""
     names = job.session.rig.names
     shares = stored_occluders(job.store, job.session.rig).shares
-    foreground = np.array([arrays["share"] for _, arrays in job.store.reader(masks_product.PRODUCT)])
+    masks = job.store.reader(masks_product.PRODUCT)
+    foreground = np.array([arrays["share"] for _, arrays in masks.rows("share")])
     warnings = tuple(
         f"camera {name}: nobody is in its silhouettes where most other cameras see somebody: it looks at furniture, or "
         "people are not told from what is behind them. Remedy: look at its silhouettes in the report; place it "

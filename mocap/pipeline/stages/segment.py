@@ -179,8 +179,9 @@ def segment_report(job: Job) -> StageReport:
     store, session = job.store, job.session
     reader = store.reader(PRODUCT)
     warnings = list(reader.attrs.get("warnings", []))
-    rows = [(arrays["share"], arrays["shadow"], arrays["usable"]) for _, arrays in reader]
-    share, shadow, usable = (np.array([row[i] for row in rows]) for i in range(3))
+    names = ("share", "shadow", "usable")
+    rows = [arrays for _, arrays in reader.rows(*names)]
+    share, shadow, usable = (np.array([row[name] for row in rows]) for name in names)
     qualities = mask_quality(
         session.rig.names,
         _sampled_triples(store, session),
