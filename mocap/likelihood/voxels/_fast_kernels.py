@@ -68,36 +68,73 @@ class FastSample(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
+def _longest_side(points, rows):
+    """The axis along which some of the points (M, 3) lie furthest apart."""
+    axis, longest = 0, -1.0
+    for c in range(3):
+        low = high = points[rows[0], c]
+        for row in rows:
+            low = min(low, points[row, c])
+            high = max(high, points[row, c])
+        if high - low > longest:
+            axis, longest = c, high - low
+    return axis
+
+
+@njit(cache=True, nogil=True)
+def _sort_along(points, axis, rows, spare):
+    """Put rows (n,) in the order of their points along an axis; equal ones stay as they are. numpy's own sort, which is
+    the same one, takes seconds to compile.  spare : (n,)."""
+    n, width = rows.shape[0], 1
+    while width < n:
+        for lo in range(0, n, 2 * width):
+            middle, hi = min(lo + width, n), min(lo + 2 * width, n)
+            i, j = lo, middle
+            for k in range(lo, hi):
+                if i < middle and (j == hi or points[rows[i], axis] <= points[rows[j], axis]):
+                    spare[k] = rows[i]
+                    i += 1
+                else:
+                    spare[k] = rows[j]
+                    j += 1
+        for k in range(n):
+            rows[k] = spare[k]
+        width *= 2
+
+
+@njit(cache=True, nogil=True)
 def picked_on_path(points, picks):
     """Rows of points (M, 3) at some places, ascending, of a path through all of them: half by half of their box, halved
     across its longest side.  Returns (len(picks),), in the order of the path."""
     rows = np.arange(points.shape[0])
+    spare = np.empty_like(rows)
     picked = np.empty(picks.shape[0], np.int64)
-    # Stretches of the path that are left: first and last row, first and last pick, the last ones exclusive.
-    left = [(0, points.shape[0], 0, picks.shape[0])]
-    while len(left):
-        lo, hi, first, last = left.pop()
-        n = last - first
-        if n == 0:
+    # Stretches of the path that are left: first and last row, first and last pick, the last ones exclusive. Halves are
+    # halved before the other half is: no more are left than numbers have bits.
+    left = np.zeros((64, 4), np.int64)
+    left[0, 1], left[0, 3] = points.shape[0], picks.shape[0]
+    n_left = 1
+    while n_left:
+        n_left -= 1
+        lo, hi, first, last = left[n_left, 0], left[n_left, 1], left[n_left, 2], left[n_left, 3]
+        if last - first == hi - lo:
+            for i in range(hi - lo):
+                picked[first + i] = rows[lo + i]
             continue
-        if n == hi - lo:
-            picked[first:last] = rows[lo:hi]
+        if last == first:
             continue
         if hi - lo == 2:
             picked[first] = rows[picks[first]]
             continue
-        axis, longest = 0, -1.0
-        for c in range(3):
-            own = points[rows[lo:hi], c]
-            if own.max() - own.min() > longest:
-                axis, longest = c, own.max() - own.min()
-        rows[lo:hi] = rows[lo:hi][np.argsort(points[rows[lo:hi], axis], kind="mergesort")]
+        _sort_along(points, _longest_side(points, rows[lo:hi]), rows[lo:hi], spare)
         half = lo + (hi - lo) // 2
         middle = first
         while middle < last and picks[middle] < half:
             middle += 1
-        left.append((lo, half, first, middle))
-        left.append((half, hi, middle, last))
+        for begin, end, own, others in ((lo, half, first, middle), (half, hi, middle, last)):
+            left[n_left, 0], left[n_left, 1] = begin, end
+            left[n_left, 2], left[n_left, 3] = own, others
+            n_left += 1
     return picked
 
 
