@@ -191,13 +191,18 @@ def anatomical_angles(segments: Mapping[str, Array]) -> dict[str, Array]:
     """
     found: dict[str, Array] = {}
     for joint in joints_of(tuple(segments)):
-        for (name, sign), values in zip(_named(joint), cardan_angles(joint, segments).T, strict=True):
-            found[name] = np.asarray(wrap_angle(sign * values))
+        found |= angles_of_joint(joint, segments)
     return found
 
 
-def _named(joint: Joint) -> list[tuple[str, float]]:
-    return [(name, sign) for name, (_, sign) in zip(joint.names, joint.angles, strict=True)]
+def angles_of_joint(joint: Joint, segments: Mapping[str, Array]) -> dict[str, Array]:
+    """The three angles of one joint, as `anatomical_angles` has them."""
+    signs = (sign for _, sign in joint.angles)
+    columns = cardan_angles(joint, segments).T
+    return {
+        name: np.asarray(wrap_angle(sign * values))
+        for name, sign, values in zip(joint.names, signs, columns, strict=True)
+    }
 
 
 def cardan_angles(joint: Joint, segments: Mapping[str, Array]) -> Array:

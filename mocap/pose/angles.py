@@ -11,7 +11,15 @@ from mocap.body import Body, joint_transforms
 from mocap.body.kinematics import point_jacobian
 from mocap.data import AngleSeries, landmark_names
 from mocap.geometry.rigid import wrap_angle
-from mocap.metrics.anatomy import anatomical_angles, joints_of, movable_angles, segment_frames
+from mocap.metrics.anatomy import (
+    anatomical_angles,
+    angles_of_joint,
+    joints_of,
+    movable_angles,
+    segment_frames,
+    segment_joints,
+    standing_rotations,
+)
 from mocap.pose.method import AngleSettings
 from mocap.pose.result import PersonPoses
 
@@ -134,16 +142,27 @@ def _with_spine(
 
 
 def _slopes(body: Body, states: Array) -> Array:
-    """Derivatives of the angles by the columns of states (T, D), (T, A, D), by central differences."""
+    """Derivatives of the angles by the columns of states (T, D), (T, A, D), by central differences: 0 but for what
+    turns one of an angle's two segments and not the other."""
+    names, at, chain = body_angles(body), segment_joints(body.joints), body.chain
+    standing = standing_rotations(body.joints, body.offset, body.standing_pitch)
     turning = np.flatnonzero(~body.is_position)
-    T, D = states.shape
-    steps = np.zeros((2, len(turning), D))
-    steps[0, np.arange(len(turning)), turning] = _STEP_RAD
+    (T, D), n = states.shape, len(turning)
+    steps = np.zeros((2, n, D))
+    steps[0, np.arange(n), turning] = _STEP_RAD
     steps[1] = -steps[0]
-    angles = angles_of_states(body, (states[:, None, None] + steps).reshape(-1, D))
-    angles = angles.reshape(T, 2, len(turning), -1)
-    slope = np.zeros((T, angles.shape[-1], D))
-    slope[:, :, turning] = (wrap_angle(angles[:, 0] - angles[:, 1]) / (2 * _STEP_RAD)).transpose(0, 2, 1)
+    R, _ = joint_transforms(body, (states[:, None, None] + steps).reshape(-1, D))
+    R = R.reshape(T, 2, n, -1, 3, 3)
+    slope = np.zeros((T, len(names), D))
+    for joint in joints_of(tuple(at)):
+        segments = [segment for segment in (joint.distal, joint.proximal) if segment is not None]
+        is_between = np.logical_xor.reduce([body.arrays.moves[at[segment]] for segment in segments])
+        rows = np.flatnonzero(np.isin(turning, chain.dof_column[is_between]))
+        frames = {s: (R[:, :, rows, at[s]] @ standing[s].T).reshape(-1, 3, 3) for s in segments}
+        for name, values in angles_of_joint(joint, frames).items():
+            if name in names:
+                later, earlier = values.reshape(T, 2, len(rows)).swapaxes(0, 1)
+                slope[:, names.index(name), turning[rows]] = wrap_angle(later - earlier) / (2 * _STEP_RAD)
     return slope
 
 
