@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,6 @@ from mocap.io.formats import (
 from mocap.io.formats.opensim import write_ik_setup, write_marker_set, write_osim, write_scale_setup
 from mocap.io.tables import write_landmarks_csv, write_tracks_csv
 from mocap.pipeline.config import OutputConfig
-from mocap.pipeline.pictures import RunPictures
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import write_scene
 from mocap.pipeline.tracking import every_frame
@@ -42,6 +41,7 @@ from mocap.pose.opensim import opensim_bodies
 from mocap.pose.result import PersonPoses
 from mocap.products.poses import body_files
 from mocap.progress import Progress
+from mocap.view.scene import CodedPictures
 
 STEP_COLUMNS = (
     *("person", "foot", "strike_frame", "strike_std_frames", "off_frame", "off_std_frames", "x_m", "y_m"),
@@ -149,7 +149,7 @@ def write_exports(
     output: OutputConfig,
     folder: Path,
     *,
-    pictures: Callable[[], RunPictures],
+    pictures: Callable[[], Iterable[CodedPictures]],
     progress: Progress,
 ) -> list[str]:
     """Write into `folder` the exports of every person and the scene; gives what was left out, and why.
@@ -165,7 +165,7 @@ def write_exports(
             if name in output.formats
         ]
     if "rrd" in output.formats:
-        steps.append((folder / "scene.rrd", partial(write_scene, found, pictures=lambda: pictures().scene)))
+        steps.append((folder / "scene.rrd", partial(write_scene, found, pictures=pictures)))
     left_out = []
     for i, (path, write) in enumerate(steps):
         left_out += written_or_why(path, write)

@@ -5,21 +5,24 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mocap.compare import score_run
 from mocap.compiling import compilation_shown
 from mocap.errors import MocapError
+from mocap.forks import answering, can_fork
 from mocap.io._files import atomic_text
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.chains import UNTIL, WITH_VOLUMES, observation_kind, stages_until
 from mocap.pipeline.checks import check_config, check_flesh, check_out, check_truth, check_volume
-from mocap.pipeline.config import Config, load_config
+from mocap.pipeline.config import Config, OutputConfig, load_config
 from mocap.pipeline.edits.beside import hand_words, tracks_after, with_edits
 from mocap.pipeline.edits.model import Edits
 from mocap.pipeline.inputs import FileHashes
@@ -196,27 +199,42 @@ def publish_run(
 
 def _written(record: RunRecord, job: Job, found: Found, folder: Path, out: Path) -> RunRecord:
     """Exports and report in a folder, the latter gathered beside the former; the record with what failed of them."""
-    output, result = job.config.output, RunResult(record, out, found)
+    output = job.config.output
+    gathering = partial(_gathering, RunResult(record, out, found), output, job.n_threads)
+    # Small calls of Python on both sides: two threads would wait for each other.
+    is_apart = job.n_threads > 1 and can_fork() and {"rrd", "report"} & set(output.formats)
+    with answering(gathering) if is_apart else gathering() as ask:
+        left_out = write_exports(found, output, folder, pictures=lambda: ask("scene"), progress=job.progress)
+        record = _warning(record, left_out)
+        if "report" not in output.formats:
+            return record
+        result = RunResult(record, out, found)
+        return _warning(
+            record,
+            written_or_why(
+                folder / "report.html", lambda path: write_run_report(result, path, ask("report"))
+            ),
+        )
+
+
+@contextmanager
+def _gathering(result: RunResult, output: OutputConfig, n_threads: int) -> Iterator[Callable[[str], Any]]:
+    """Reads the clips for scene and report; gives what tells, when it is there, the pictures of the `scene`, or all of
+    the `report` but for what is known last."""
+    thread = ThreadPoolExecutor(1) if n_threads > 1 else AtOnce()
     with_report = "report" in output.formats
-    with ThreadPoolExecutor(1) if job.n_threads > 1 else AtOnce() as beside:
-        read = beside.submit(
-            read_pictures,
-            found,
-            report=output if with_report else None,
-            scene=None if "rrd" in output.formats else (),
-            n_threads=job.n_threads,
-        )
-        gathered = beside.submit(lambda: gather_report(result, read.result())) if with_report else None
-        left_out = write_exports(
-            found, job.config.output, folder, pictures=read.result, progress=job.progress
-        )
-    record = _warning(record, left_out)
-    if gathered is None:
-        return record
-    path, result = folder / "report.html", RunResult(record, out, found)
-    return _warning(
-        record, written_or_why(path, lambda path: write_run_report(result, path, gathered.result()))
+    read = thread.submit(
+        read_pictures,
+        result.found,
+        report=output if with_report else None,
+        scene=None if "rrd" in output.formats else (),
+        n_threads=n_threads,
     )
+    gathered = thread.submit(lambda: gather_report(result, read.result())) if with_report else None
+    try:
+        yield lambda what: gathered.result() if gathered and what == "report" else read.result().scene
+    finally:
+        thread.shutdown(wait=False, cancel_futures=True)
 
 
 def _not_kept(found: Found, keep: str) -> tuple[str, ...]:
