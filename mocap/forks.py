@@ -181,11 +181,9 @@ def _serve(
 
 @contextmanager
 def _told(there: Connection) -> Iterator[None]:
-    """Send an error to who has asked; not that nobody is there to ask."""
+    """Send an error to who has asked; that fails where nobody is there to ask."""
     try:
         yield
-    except (EOFError, OSError):
-        raise
     except Exception as error:
         there.send((False, error))
 

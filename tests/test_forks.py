@@ -120,6 +120,8 @@ def counting() -> Iterator[Callable[[object], tuple[int, int, object]]]:
         n += 1
         if isinstance(question, str) and question == "mistake":
             raise MocapError("not this", remedy="another", frame=7)
+        if isinstance(question, str) and question == "disk":
+            raise OSError(5, "broken")
         if isinstance(question, str) and question == "die":
             os.kill(os.getpid(), signal.SIGKILL)
         return os.getpid(), n, question
@@ -144,7 +146,9 @@ def test_what_an_answer_raises_is_raised_here_and_others_are_answered() -> None:
         with pytest.raises(MocapError, match="not this") as told:
             ask("mistake")
         assert told.value.frame == 7
-        assert ask("next")[1:] == (2, "next")
+        with pytest.raises(OSError, match="broken"):  # not that of the pipe
+            ask("disk")
+        assert ask("next")[1:] == (3, "next")
 
 
 def test_who_cannot_begin_says_so_at_once() -> None:
