@@ -25,7 +25,14 @@ from mocap.pose.evidence import FrameEvidence, PersonClip, PersonTools, WholeBod
 from mocap.pose.limb_search import LimbSchedule, search_limbs
 from mocap.pose.limbs import in_doubt, legs_exchanged
 from mocap.pose.restart import FallenEvidence, restarted_pose
-from mocap.pose.start import FirstPose, PoseSearch, settle_first_poses, try_first_poses, walking_velocity
+from mocap.pose.start import (
+    FirstPose,
+    PoseSearch,
+    heading_of,
+    settle_first_poses,
+    try_first_poses,
+    walking_velocity,
+)
 from mocap.profiling import part
 from mocap.rng import rng_for
 from mocap.threads import worker_threads
@@ -387,14 +394,22 @@ class OnePose:
         return now
 
     def restart(self, searched: Candidates, rng: np.random.Generator) -> Candidates:
-        """A pose found anew where the body is lost, or has come back after a while."""
+        """A pose found anew where the body is lost, faces against its way, or has come back after a while."""
         (now,) = searched
-        is_due = self.settings.look_again and (self._has_returned or self._loss.is_due(self._row, now.value))
-        if is_due:
+        is_backwards = self._faces_backwards(now.state)
+        if self.settings.look_again and (
+            self._has_returned or self._loss.is_due(self._row, now.value, is_backwards=is_backwards)
+        ):
             now = self._restarted(now, rng)
             self._rival = self._rival if now is searched[0] else None
         self._loss.note(now.state, now.value)
         return [now]
+
+    def _faces_backwards(self, state: Array) -> bool:
+        """Whether a pose (D,) faces against the way that the person goes."""
+        numbers, yaw = self.settings.method.start, self.tools.body.yaw_column
+        heading = heading_of(walking_velocity(self.clip, self._row, numbers), numbers)
+        return heading is not None and yaw is not None and float(np.cos(state[yaw] - heading)) < 0.0
 
     def _restarted(self, now: Candidate, rng: np.random.Generator) -> Candidate:
         evidence: WholeBodyEvidence = self._evidence  # type: ignore[assignment]

@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 
 @dataclass
 class FallenEvidence:
-    """A pose is lost when its evidence has fallen far below what this person's poses usually reach.
+    """A pose is lost when its evidence has fallen far below what this person's poses usually reach, or when it faces
+    against the way that the person goes.
 
     best_state is the latest pose that was good; a failed restart doubles the pause before the next.
     """
@@ -43,10 +44,10 @@ class FallenEvidence:
             return -np.inf
         return float(np.quantile(self._values, self.settings.usual_quantile))
 
-    def is_due(self, row: int, value: float) -> bool:
-        """Whether row's pose is lost and the last attempt lies far enough back."""
+    def is_due(self, row: int, value: float, *, is_backwards: bool) -> bool:
+        """Whether row's pose is lost and the last attempt lies far enough back.  is_backwards : against the walk."""
         waited = self._next is None or abs(row - self._next) >= self._pause
-        return value < self.usual - self.settings.lost_nats and waited
+        return waited and (is_backwards or value < self.usual - self.settings.lost_nats)
 
     def settle(self, row: int, value: float, restarted: float) -> bool:
         """Whether a new pose is taken."""

@@ -1,4 +1,7 @@
-"""Two first poses that the volumes explain equally well: the way that the person goes decides between them."""
+"""Front and back where the volumes hardly tell them apart: the way that the person goes decides.
+
+In the trial of two first poses, and later by a restart.
+"""
 
 from collections.abc import Iterator, Sequence
 from types import SimpleNamespace
@@ -11,7 +14,10 @@ from mocap.body import neutral_state
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose import person
+from mocap.pose.follow import Candidate, OnePose
+from mocap.pose.method import RestartSettings
 from mocap.pose.person import VolumeClip, choose_hypothesis
+from mocap.pose.restart import FallenEvidence
 from mocap.pose.start import FirstPose
 from mocap.pose.volume import VolumeObservation
 
@@ -63,3 +69,29 @@ def test_who_walks_faces_the_way_that_he_goes(
     best, values = choose_hypothesis(clip, hypotheses, seed=0)
     assert best is hypotheses[1 if ahead else 0]
     np.testing.assert_allclose(values, [EVIDENCE + 1.0 - lost, EVIDENCE])
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "yaw", "is_restarted"),
+    [(1.2, -np.pi / 2, True), (1.2, np.pi / 2, False), (1.2, 0.1, False), (0.1, -np.pi / 2, False)],
+)
+def test_who_faces_against_his_way_is_looked_for_anew(
+    coarse_flesh: Flesh, monkeypatch: pytest.MonkeyPatch, speed_m_s: float, yaw: float, is_restarted: bool
+) -> None:
+    clip = clip_of(coarse_flesh, speed_m_s)
+    now = Candidate(facing(clip, yaw, 0.0).state, value=EVIDENCE)
+    found = Candidate(facing(clip, np.pi / 2, 0.0).state, value=EVIDENCE)
+    policy = OnePose(clip, 0, now.state)
+    policy.carry(20, None)
+    monkeypatch.setattr(policy, "_restarted", lambda now, rng: found)
+    assert policy.restart([now], np.random.default_rng(0)) == [found if is_restarted else now]
+
+
+def test_who_goes_backwards_is_asked_less_and_less() -> None:
+    numbers = RestartSettings()
+    loss = FallenEvidence(numbers)
+    assert loss.is_due(0, EVIDENCE, is_backwards=True)
+    assert not loss.is_due(0, EVIDENCE, is_backwards=False)
+    assert not loss.settle(0, EVIDENCE, EVIDENCE + 0.9 * numbers.margin_nats)
+    pause = 2 * numbers.shortest_pause_frames
+    assert [loss.is_due(row, EVIDENCE, is_backwards=True) for row in (pause - 1, pause)] == [False, True]
