@@ -35,13 +35,17 @@ def repair_limbs(
     found: dict[int, Array] = {}
     current = states.copy()
     for step in (-1, 1):
-        rows = range(len(states) - 1, 0, -1) if step < 0 else range(len(states) - 1)
-        for row in rows:
-            for group in groups:
-                if min(_gap(body, current[row], current[row + step], limb) for limb in group) < furthest_m:
+        rows = np.arange(len(states) - 1, 0, -1) if step < 0 else np.arange(len(states) - 1)
+        gaps = np.zeros((len(groups), len(states)))
+        gaps[:, rows] = _gaps(body, current[rows], current[rows + step], groups)
+        for row in rows.tolist():
+            for k, group in enumerate(groups):
+                if gaps[k, row] < furthest_m:
                     continue
                 for at, state in carried(body, current, row, step, group, evidence_of, settings):
                     current[at] = found[at] = state
+                    beside = rows[(rows == at) | (rows == at - step)]
+                    gaps[:, beside] = _gaps(body, current[beside], current[beside + step], groups)
     return found
 
 
@@ -68,7 +72,11 @@ def carried(
         candidate = evidence.all_refined([mixed], settings.n_iterations)[0]
         new, old = evidence.evidence([candidate, states[at]])
         gain += float(np.clip(new - old, -settings.largest_nats, settings.largest_nats))
-        is_joined = max(_gap(body, candidate, states[at], limb) for limb in group) < settings.same_m
+        is_joined = bool(
+            (
+                _gaps(body, candidate[None], states[at, None], [[limb] for limb in group]) < settings.same_m
+            ).all()
+        )
         if is_joined:
             gain += settings.joined_nats
         chain.append((at, candidate))
@@ -81,9 +89,15 @@ def carried(
     return chain[:n_best]
 
 
-def _gap(body: Body, a: Array, b: Array, limb: Limb) -> float:
-    """Largest distance between a limb's landmarks in two poses, on the body of the second, m."""
-    mixed = b.copy()
-    mixed[limb.columns] = a[limb.columns]
-    both = landmarks_of(body, np.stack([mixed, b]))[:, limb.landmarks]
-    return float(np.linalg.norm(both[0] - both[1], axis=1).max())
+def _gaps(body: Body, a: Array, b: Array, groups: Sequence[Sequence[Limb]]) -> Array:
+    """How far the limbs of each group lie apart in pairs of poses (N, D), on the body of the second, (G, N) m: the
+    largest distance between landmarks, of the limb that lies least apart."""
+    places = landmarks_of(body, b)
+    out = np.full((len(groups), len(a)), np.inf)
+    for own, group in zip(out, groups, strict=True):
+        for limb in group:
+            mixed = b.copy()
+            mixed[:, limb.columns] = a[:, limb.columns]
+            apart = (landmarks_of(body, mixed) - places)[:, limb.landmarks]
+            np.minimum(own, np.linalg.norm(apart, axis=2).max(axis=1), out=own)
+    return out
