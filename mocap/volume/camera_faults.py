@@ -8,10 +8,11 @@ What the stretches of other states mean is then decided with the pictures, if th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -185,9 +186,12 @@ class CameraFault:
         return f"{who} moved at frame {self.first_frame}{back}{self._far}"
 
 
-def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
+def find_camera_faults(
+    evidence: SilhouetteEvidence, each: Callable[..., Iterable[Any]] = map
+) -> tuple[CameraFault, ...]:
     """Faults of all cameras, by first frame; nothing for fewer than five frames or fewer than three cameras.
 
+    each : `map`, perhaps over threads.
     One bad camera at a time is found surely; the hull of the others allows no more. Whoever stands still hides a
     lag, and a camera that turns by less than about a degree shows only in its pictures.
     """
@@ -201,7 +205,7 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
             found.append(fault)
             unexplained[rows, c] = np.nan
         found += _now_and_then(evidence, c)
-    moved = [_background_moves(evidence, c) for c in range(n_cameras)]
+    moved = list(each(partial(_background_moves, evidence), range(n_cameras)))
     for c, own in enumerate(moved):
         for first, stop, shift in own:
             found.append(replace(_fault(evidence, c, "moved", first, stop), shift_px=shift))
@@ -210,23 +214,25 @@ def find_camera_faults(evidence: SilhouetteEvidence) -> tuple[CameraFault, ...]:
     return tuple(sorted(found, key=lambda f: (f.first_frame, f.camera)))
 
 
-def find_faults(monitor: ConsistencyMonitor, guessed: Sequence[str] = ()) -> tuple[CameraFault, ...]:
+def find_faults(
+    monitor: ConsistencyMonitor, guessed: Sequence[str] = (), each: Callable[..., Iterable[Any]] = map
+) -> tuple[CameraFault, ...]:
     """What `find_camera_faults`, `find_misfits` and `find_exchanged` say of a recording, by first frame.
 
     A camera that never fits is judged by its outlines, which tell how far it is off; so is one that seems to lag where
     its clock says that it does not.  guessed : cameras whose outlines are guesses: neither they nor others are judged
-    by them.
+    by them.  each : `map`, perhaps over threads.
     """
     evidence = monitor.evidence()
-    faults = find_camera_faults(evidence)
+    faults = find_camera_faults(evidence, each)
     known = [fault for fault in faults if not _is_refuted(fault, monitor)]
     samples = monitor.mask_samples()
-    misfits = find_misfits(monitor.rig, samples, known, monitor.occluders, guessed)
+    misfits = find_misfits(monitor.rig, samples, known, monitor.occluders, guessed, each)
     named = {fault.camera for fault in misfits if fault.camera}
     surely = [fault for fault in known if not _is_late_by_a_frame(fault)]
     if named and len(surely) < len(known):
         # The hull that tells who is late had that camera in it, and one frame is what a wrong hull comes to.
-        more = find_misfits(monitor.rig, samples, surely, monitor.occluders, guessed)
+        more = find_misfits(monitor.rig, samples, surely, monitor.occluders, guessed, each)
         misfits = more if {fault.camera for fault in more} > named else misfits
     # Two that film each other's place look like two that are turned, or like two that see nobody.
     is_off = len(misfits) == 2 or any(fault.kind == "rig" for fault in misfits)
@@ -302,11 +308,13 @@ def find_misfits(
     faults: Sequence[CameraFault] = (),
     occluders: Occluders | None = None,
     guessed: Sequence[str] = (),
+    each: Callable[..., Iterable[Any]] = map,
 ) -> tuple[CameraFault, ...]:
     """Cameras that stand elsewhere than their calibration says all the time, of two at most; or that the rig disagrees.
 
     samples : of the whole clip, in order.  faults : known of cameras, which are not judged then, unless a wrong
-    calibration may be the reason.  guessed : cameras whose outlines are guesses, and say nothing.
+    calibration may be the reason.  guessed : cameras whose outlines are guesses, and say nothing.  each : `map`,
+    perhaps over threads.
     """
     if len(samples) < _MIN_FRAMES:
         return ()
@@ -317,7 +325,7 @@ def find_misfits(
         replace(sample, masks=[m if w else None for m, w in zip(sample.masks, is_well, strict=True)])
         for sample in samples
     ]
-    found = rig_agreement(rig, samples, occluders)
+    found = rig_agreement(rig, samples, occluders, each=each)
     whole = CameraFault("", "rig", samples[0].frame, samples[-1].frame, True, True, offset_m=found.offset_m)
     if found.misfits:
         return tuple(_miscalibrated(replace(whole, camera=name), m) for name, m in found.misfits.items())

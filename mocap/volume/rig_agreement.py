@@ -13,10 +13,10 @@ Hernandez, Schmitt and Cipolla, "Silhouette coherence for camera calibration und
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -146,14 +146,16 @@ def rig_agreement(
     samples: Sequence[MaskSample],
     occluders: Occluders | None = None,
     settings: AgreementSettings | None = None,
+    each: Callable[..., Iterable[Any]] = map,
 ) -> Agreement:
     """Which cameras stand elsewhere than their calibration says, if any.
 
-    samples : few frames will do, far apart.  occluders : what stands before people.
-    Cameras that are all off by one rotation, shift or scale agree.
+    samples : few frames will do, far apart.  occluders : what stands before people.  each : `map`, perhaps over
+    threads. Cameras that are all off by one rotation, shift or scale agree.
     """
     settings = settings or AgreementSettings()
-    return _Judge(_World(rig, samples, occluders, settings), settings).agreement()
+    world = _World(rig, samples, occluders, settings, each)
+    return _Judge(world, list(each(world.sight, range(len(rig)))), settings).agreement()
 
 
 class _World:
@@ -165,9 +167,12 @@ class _World:
         samples: Sequence[MaskSample],
         occluders: Occluders | None,
         settings: AgreementSettings,
+        each: Callable[..., Iterable[Any]],
     ) -> None:
         self.rig, self.samples, self.occluders, self._settings = rig, samples, occluders, settings
-        self._inside = [[None if m is None else _depth_inside(m) for m in s.masks] for s in samples]
+        self._inside: list[list[NDArray[np.float32] | None]] = list(
+            each(lambda s: [None if m is None else _depth_inside(m) for m in s.masks], samples)
+        )
         for sample, inside in (
             zip(samples, self._inside, strict=True) if self.is_furnished and len(rig) >= _MANY else ()
         ):
@@ -251,9 +256,8 @@ class _World:
 class _Judge:
     """Fits of cameras against groups of the others, each done once."""
 
-    def __init__(self, world: _World, settings: AgreementSettings) -> None:
-        self._world, self._settings = world, settings
-        self._sights = [world.sight(c) for c in range(len(world.rig))]
+    def __init__(self, world: _World, sights: Sequence[_Sight | None], settings: AgreementSettings) -> None:
+        self._world, self._sights, self._settings = world, sights, settings
         self._offsets: dict[tuple[int, tuple[int, ...]], float] = {}
 
     def agreement(self) -> Agreement:

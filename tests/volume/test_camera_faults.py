@@ -260,7 +260,7 @@ def test_who_seems_a_frame_late_beside_a_turned_camera_is_judged_by_outlines(
     )
     late = CameraFault("cam_4", "lag", 0, 9, True, True, lag_frames=1)
     more = (turned, other) if is_turned else (turned,)
-    monkeypatch.setattr(camera_faults, "find_camera_faults", lambda evidence: (late,))
+    monkeypatch.setattr(camera_faults, "find_camera_faults", lambda evidence, each: (late,))
     monkeypatch.setattr(camera_faults, "_is_refuted", lambda fault, monitor: False)
     monkeypatch.setattr(camera_faults, "find_exchanged", lambda *args: ())
     monkeypatch.setattr(
@@ -358,7 +358,7 @@ def test_exchanged_cameras_that_seem_to_see_nobody_are_named(
     masks = clean()
     masks[1], masks[4] = masks[4], masks[1]
     seeming = tuple(CameraFault(c, kind, FIRST, FIRST + T - 1, True, True) for c in ("cam_1", "cam_4"))
-    monkeypatch.setattr(camera_faults, "find_camera_faults", lambda evidence: seeming)
+    monkeypatch.setattr(camera_faults, "find_camera_faults", lambda evidence, each: seeming)
     monkeypatch.setattr(camera_faults, "find_misfits", lambda *args: ())
     assert [(f.camera, f.kind) for f in find_faults(watched(masks))] == [
         ("cam_1", "exchanged"),

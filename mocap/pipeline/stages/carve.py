@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,7 +188,7 @@ class _Walk:
 
     monitor : looks for bad cameras among some of the rig, None = they are known.  faults : what earlier walks found.
     left_out : those whose cameras do not take part.  guessed : cameras whose outlines are guesses, by which no
-    calibration is judged.
+    calibration is judged.  each : `map`, perhaps over threads.
     """
 
     carving: _Carving
@@ -195,6 +196,7 @@ class _Walk:
     faults: tuple[CameraFault, ...] = ()
     left_out: tuple[CameraFault, ...] = ()
     guessed: tuple[str, ...] = ()
+    each: Callable[..., Iterable[Any]] = map
 
     def used(self, seen: Seen) -> NDArray[np.bool_]:
         """(C,) the cameras that take part in a frame."""
@@ -232,7 +234,7 @@ def _start(job: Job) -> _Walk:
     if config.volume.on_bad_camera == "ignore":
         return _Walk(carving, None)
     monitor = _monitor(carving, session.rig)
-    return _Walk(carving, monitor, guessed=never_empty(job.store))
+    return _Walk(carving, monitor, guessed=never_empty(job.store), each=job.each)
 
 
 def _monitor(carving: _Carving, rig: CameraRig) -> ConsistencyMonitor:
@@ -274,7 +276,7 @@ def _finish(walk: _Walk) -> Ending:
         return _ending(walk, walk.faults)
     session, config = walk.carving.session, walk.carving.config
     excludes = config.volume.on_bad_camera == "exclude"
-    found = find_faults(walk.monitor, walk.guessed)
+    found = find_faults(walk.monitor, walk.guessed, walk.each)
     late = find_late(walk.monitor, found)
     faults = walk.faults + (late or found)
     left_out = faults if excludes else ()
