@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -87,6 +88,16 @@ def distance_of_lines(body: Body, ends: tuple[Array, Array], origins: Array, dir
     radii = body.cones.radii
     own_radius = (1.0 - share) * radii[:, 0] + share * radii[:, 1]
     return np.asarray(np.linalg.norm(a + share[:, :, None] * ab, axis=2) - own_radius)
+
+
+@lru_cache(maxsize=64)
+def _cones_on(body: Body, parts: tuple[int, ...]) -> NDArray[np.bool_]:
+    return np.isin(body.cones.part, parts)
+
+
+def cones_on(body: Body, parts: Sequence[int]) -> NDArray[np.bool_]:
+    """Which flesh cones are those of some parts, (K,). Kept and shared: not to be written to."""
+    return _cones_on(body, tuple(parts))
 
 
 def cones_of_particles(body: Body, states: Array, which: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -360,7 +360,7 @@ class VolumeEvidence:
     def _misfit_of(self, state: Array) -> float:
         settings = self.tools.settings
         per_m2 = settings.method.evidence.nats_per_m2
-        nats = per_m2 * self.residuals.normal_equations(state)[0] / max(self.surface.n_points, 1)
+        nats = per_m2 * self._normal_equations(state)[0] / max(self.surface.n_points, 1)
         if self.colours is not None:
             nats -= settings.colour_weight * float(self.colours.log_ratio(state[None])[0])
         return nats
@@ -412,7 +412,7 @@ class VolumeEvidence:
     def limb_misfits(self, state: Array) -> dict[int, float]:
         """How badly each limb fits, by its first part: nats >= 0, of its worst part."""
         layout = self.tools.body.layout
-        per_part = self.voxels.log_likelihood(state[None])[0]
+        per_part = self.voxels.judged(self.part_scores(state))[0]
         if len(per_part) != layout.n_parts:
             return {}
         return {limb[0]: max(-float(per_part[limb].min()), 0.0) for limb in limbs_of(layout)}
@@ -453,16 +453,16 @@ class VolumeEvidence:
         own flesh, the filter has not lost it and enough cameras can judge it."""
         body = self.tools.body
         layout = body.layout
-        per_part = self.voxels.log_likelihood(state[None])[0]
+        scores = self.part_scores(state)
+        per_part = self.voxels.judged(scores)[0]
         information = np.zeros((layout.n_columns, layout.n_columns))
         if self.tools.settings.refine:
-            cost, normal_matrix, _ = self.residuals.normal_equations(state)
+            cost, normal_matrix = self._normal_equations(state)
             correlated = self.tools.settings.method.deviation.correlated
             information = fit_information(cost, normal_matrix, self.surface.n_points, correlated)
         # A global likelihood says nothing of parts: its misfit is shared out.
         shared = np.broadcast_to(per_part / (layout.n_parts / len(per_part)), layout.n_parts)
         parts = body.landmark_parts
-        scores = self.part_scores(state)
         occupancy = scores.occupied[0]
         unseen_std = self._unseen_std(state)
         judged = self._judged(state) & ~self._shared_legs(scores) & (unseen_std == 0.0)
@@ -527,7 +527,27 @@ class VolumeEvidence:
 
     def part_scores(self, state: Array) -> PartScores:
         """Shares of every part's flesh of one state (D,)."""
-        return part_scores(self.tools.body, self.tools.table, self.voxels.volume, state[None])
+        key = state.tobytes()
+        if key not in self._scores:
+            volume = self.voxels.volume
+            self._scores[key] = part_scores(self.tools.body, self.tools.table, volume, state[None])
+        return self._scores[key]
+
+    def _normal_equations(self, state: Array) -> tuple[float, Array]:
+        """Cost and Gauss-Newton matrix of the residuals at a state (D,)."""
+        key = state.tobytes()
+        if key not in self._costs:
+            self._costs[key] = self.residuals.normal_equations(state)[:2]
+        return self._costs[key]
+
+    # A frame's pose is asked about again by whoever judges it: by its bytes, what was found of it.
+    @cached_property
+    def _scores(self) -> dict[bytes, PartScores]:
+        return {}
+
+    @cached_property
+    def _costs(self) -> dict[bytes, tuple[float, Array]]:
+        return {}
 
 
 @dataclass

@@ -203,7 +203,7 @@ def test_rays_see_the_cone_that_they_enter_first(coarse_flesh: Flesh, standing: 
     rays = rays_at(coarse_flesh, standing, seed=3)
     seen = cones_seen(coarse_flesh, standing, rays)
     colours = ColourProblem(coarse_flesh.body, rays, new_appearance(coarse_flesh.body))
-    found = colours._seen(rays, standing)
+    found = colours._seen(rays, cones_of(coarse_flesh.body, standing))
     zone, depth, miss = found.zone, found.depth, found.miss
     zones, cones = colours.appearance.zones, coarse_flesh.body.cones
     hit = seen >= 0

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.arrays import Array
-from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
+from mocap.body.kinematics import cones_of, cones_of_particles, cones_on, joint_transforms
 from mocap.body.model import Body
 from mocap.data.problem import limbs_of
 from mocap.likelihood.colours._kernels import limb_values, see_cones
@@ -173,7 +173,7 @@ class ColourProblem:
 
     def pixel_values(self, state: Array) -> Array:
         """What every pixel says of a state (D,): its log-ratio, (M,), 0 where no zone is seen."""
-        return self._values(self.rays, self._seen(self.rays, state).zone)
+        return self._values(self.rays, self._seen(self.rays, cones_of(self.body, state)).zone)
 
     def learnt(self, state: Array, trusted: NDArray[np.bool_]) -> Appearance:
         """The appearance with this frame under a pose (D,) added.  trusted : (P,) parts that are where it says.
@@ -182,14 +182,16 @@ class ColourProblem:
         silhouette. One that is wrongly thought to be before the trunk would learn the trunk's colours, and be believed
         ever after.
         """
-        first = self._seen(self.rays, state)
+        ends = cones_of(self.body, state)
+        first = self._seen(self.rays, ends)
         part_of_cone = self.body.cones.part
         part = np.where(first.cone >= 0, part_of_cone[first.cone], -1)
         sure = (part >= 0) & (first.miss <= 0) & trusted[part]
         for limb in limbs_of(self.body.layout):
-            own = np.flatnonzero(sure & np.isin(part, limb))
+            is_own = cones_on(self.body, limb)
+            own = np.flatnonzero(sure & is_own[first.cone])
             if len(own):
-                rest = self._seen(self.rays.taken(own), state, ~np.isin(part_of_cone, limb))
+                rest = self._seen(self.rays.taken(own), ends, ~is_own)
                 sure[own] = ~np.isfinite(rest.depth)
         zone, zones = first.zone, self.appearance.zones
         counts = self.appearance.counts.copy()
@@ -206,11 +208,11 @@ class ColourProblem:
         if len(rays) == 0:
             return lambda particles: np.zeros(len(particles))
         body, zones = self.body, self.appearance.zones
-        own = np.isin(body.cones.part, limb)
+        own, ends = cones_on(body, limb), cones_of(body, state)
         near = rays.taken(_passing(rays, *self._reach(state, own)))
-        rest = self._seen(near, state, ~own)
+        rest = self._seen(near, ends, ~own)
         other = self._values(near, rest.zone)
-        before = self._values(near, self._seen(near, state).zone).sum()
+        before = self._values(near, self._seen(near, ends).zone).sum()
         cones = body.cones.radii[own], zones.first[own], zones.n[own]
 
         def value(particles: Array) -> Array:
@@ -246,11 +248,13 @@ class ColourProblem:
         found = self.appearance.log_ratio[np.maximum(zone, 0), rays.bins].astype(np.float64)
         return np.where(zone >= 0, found, 0.0)
 
-    def _seen(self, rays: PixelRays, state: Array, which: NDArray[np.bool_] | None = None) -> _Seen:
-        """What of a pose (D,) is seen in every pixel.  which : (K,) cones that are there, None = all."""
+    def _seen(
+        self, rays: PixelRays, ends: tuple[Array, Array], which: NDArray[np.bool_] | None = None
+    ) -> _Seen:
+        """What of a pose is seen in every pixel.  ends : of its cones.  which : (K,) those there are, None = all."""
         cones, zones, n = self.body.cones, self.appearance.zones, len(rays)
         chosen = np.arange(len(cones.part)) if which is None else np.flatnonzero(which)
-        start, end = cones_of(self.body, state)
+        start, end = ends
         cone, at = np.full(n, -1, dtype=np.int32), np.zeros(n, dtype=np.float32)
         depth, miss = np.full(n, np.inf, dtype=np.float32), np.full(n, _TOUCH_M, dtype=np.float32)
         arguments = start[chosen], end[chosen], cones.radii[chosen]

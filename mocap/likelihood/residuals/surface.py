@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Array
 from mocap.body.flesh import LookUpTable
-from mocap.body.kinematics import cones_of, cones_of_particles, joint_transforms
+from mocap.body.kinematics import cones_of, cones_of_particles, cones_on, joint_transforms
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.voxels import VoxelGrid, Voxels
@@ -222,7 +222,7 @@ class SurfaceProblem:
         limb : its parts. The flesh counts with its mean radii.
         """
         cones = self.body.cones
-        own = np.isin(cones.part, limb)
+        own = cones_on(self.body, limb)
         start, end = cones_of_particles(self.body, particles, own)
         share = np.empty(len(particles))
         share_within(points, start, end, cones.radii[own].mean(axis=1) + distance_m, share)

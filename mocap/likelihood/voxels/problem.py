@@ -9,13 +9,14 @@ import numpy as np
 
 from mocap.arrays import Array
 from mocap.body.flesh import LookUpTable
-from mocap.body.kinematics import cones_of_particles
+from mocap.body.kinematics import cones_of_particles, cones_on
 from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.propagation import truncated_gaussian_step
 from mocap.likelihood.voxels._exact_kernels import MAX_LIMB_PARTS, axes_in_volume
 from mocap.likelihood.voxels.exact import (
     PackedVolume,
+    PartScores,
     VoxelLikelihoodSettings,
     factorised_log_likelihood,
     global_log_likelihood,
@@ -54,6 +55,10 @@ class VoxelProblem:
             )
         else:
             scores = part_scores(*args, parts=parts, given=given, n_threads=self.n_threads)
+        return self.judged(scores, parts)
+
+    def judged(self, scores: PartScores, parts: Sequence[int] | None = None) -> Array:
+        """The log-likelihoods of particles with these scores.  parts : those of the scores' columns, None = all."""
         if self.settings.factorised:
             return factorised_log_likelihood(scores, self.body, self.settings, parts)
         return global_log_likelihood(scores, self.table, self.settings, parts)
@@ -72,7 +77,7 @@ class VoxelProblem:
     def limb_in_data(self, particles: Array, limb: Sequence[int]) -> Array:
         """Share of the points in the middle and at the end of a limb's cones that lie in occupied voxels, of particles
         (N, D): (N,)."""
-        start, end = cones_of_particles(self.body, particles, np.isin(self.body.cones.part, limb))
+        start, end = cones_of_particles(self.body, particles, cones_on(self.body, limb))
         share = np.empty(len(particles))
         axes_in_volume(
             start, end, self.volume.crop, self.volume.lower_m, float(self.volume.grid.voxel_size_m), share
