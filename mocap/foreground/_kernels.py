@@ -74,8 +74,8 @@ def _sort_columns(samples, first, size, block):
     """
     n = len(samples)
     for k in range(n):
-        block[k, :size] = samples[k, first : first + size]
-        block[k, size:] = block[k, 0]
+        for i in range(_COLUMNS):
+            block[k, i] = samples[k, first + i if i < size else first]
     for turn in range(n):
         for k in range(turn % 2, n - 1, 2):
             low, high = block[k], block[k + 1]
@@ -95,6 +95,18 @@ def medians(samples, out):
         _sort_columns(samples, first, size, block)
         for i in range(size):
             out[first + i] = (block[(n - 1) // 2, i] + block[n // 2, i]) / np.float32(2)
+
+
+@njit(cache=True, nogil=True)
+def _middle_of(values, n):
+    """The middle one of the first n of some numbers, which it puts in order; n is small."""
+    for i in range(1, n):
+        value, k = values[i], i
+        while k > 0 and values[k - 1] > value:
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = value
+    return values[n // 2]
 
 
 CLEAR, RIM, PERSON = 1, 2, 3  # of a pixel of a key picture; 0 = no key picture
@@ -129,8 +141,11 @@ def free_statistics(samples, cover, far, mean, std, n_free):
             continue
         reach = np.float32(3.0)
         for c in range(3):
-            middle[c] = np.sort(values[c, :count])[count // 2]
-            spread = np.sort(np.abs(values[c, :count] - middle[c]))[count // 2]
+            own = values[c]
+            middle[c] = _middle_of(own, count)
+            for k in range(count):
+                own[k] = abs(own[k] - middle[c])
+            spread = _middle_of(own, count)
             reach = max(reach, np.float32(2.5 * 1.4826) * np.float32(spread) + np.float32(3.0))
         if count < 5 or reach > far:
             reach = np.float32(far)

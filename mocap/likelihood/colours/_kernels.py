@@ -85,9 +85,8 @@ def limb_values(
     for i in range(n_rays):
         base += other_value[i]
     for n in range(start.shape[0]):
-        cone[:] = -1
-        depth[:] = other_depth
-        miss[:] = other_miss
+        for i in range(n_rays):
+            cone[i], depth[i], miss[i] = -1, other_depth[i], other_miss[i]
         see_cones(columns, start[n], end[n], radii, depth, miss, cone, at)
         total = base
         for i in range(n_rays):

@@ -151,6 +151,7 @@ def descend(states, fit, bounds, prior, n_iterations, tolerance, reach):
     fit : FitTerms.  prior : (D,) weight of each column's pull to the start.  As `filters.refine`: never a state of
     higher cost; columns at a limit are held there while the step points out.  reach : factor on every step.
     """
+    # Numbers are copied one by one: an array into another takes 2 s to compile, for the error that they may differ.
     D = states.shape[1]
     is_circular = bounds.is_circular
     x, start, candidate, step = np.empty(D), np.empty(D), np.empty(D), np.zeros(D)
@@ -161,7 +162,8 @@ def descend(states, fit, bounds, prior, n_iterations, tolerance, reach):
     for k in range(states.shape[0]):
         step[:] = 0.0
         _move_within(states[k], step, 0.0, bounds, start)
-        x[:] = start
+        for a in range(D):
+            x[a] = start[a]
         cost = fit_equations(x, fit, H, g, H_part, g_part)
         cost += add_prior(x, start, prior, is_circular, H, g)
         damping = _DAMPING_START
@@ -185,4 +187,5 @@ def descend(states, fit, bounds, prior, n_iterations, tolerance, reach):
                 damping *= 8.0
                 if damping > _DAMPING_MAX:
                     break
-        states[k] = x
+        for a in range(D):
+            states[k, a] = x[a]

@@ -237,7 +237,7 @@ def _camera_outline(
     points = [c[:, 0] for c in contours if len(c) >= _MIN_OUTLINE_PX]
     if not points:
         return None
-    at = np.concatenate(points)
+    at = np.concatenate(points).astype(np.int64)  # as rays have theirs: kernels are compiled once
     good = are_inside(at, low, crop.shape, view.camera.size, _BORDER_PX)
     if behind is not None:
         good &= cv2.dilate(behind, _EDGE_KERNEL)[at[:, 1], at[:, 0]] == 0
