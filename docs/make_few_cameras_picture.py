@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from eval.session_tables import RESULTS
+from eval.whole import save_figure
 from mocap.body import load_body_model, scale_body
 from mocap.data import Camera, CameraRig
 from mocap.pose.foresight import aimed, foresee
-from mocap.view.plotting import LINE_COLOURS, finish, new_figure, png
+from mocap.view.plotting import LINE_COLOURS, finish, new_figure
 
 PICTURE = Path(__file__).parent / "pictures" / "few-cameras.png"
 SIZE, FOCAL_PX = (640, 480), 450.0
@@ -74,7 +75,7 @@ def main() -> None:
             label=f"{n} cameras",
         )
     finish(both, "all that was run", "foreseen, mm", "measured, mm", legend=True, small=True)
-    PICTURE.write_bytes(png(figure))
+    save_figure(figure, PICTURE)
 
 
 if __name__ == "__main__":

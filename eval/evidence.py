@@ -6,7 +6,7 @@
 Sessions are five synthetic scenes (`eval.evidence_scenes`) and the realistic development sessions in
 ../shared/dev_sessions with the detections of MediaPipe that lie beside them; fewer cameras are those of the ring that
 stand far apart. Another seed is another scene, or other random numbers in the same development session; evidence.csv
-has three, the other tables have the first. A row that was measured once is kept in --work and read from there, so that
+has five, the other tables have the first. A row that was measured once is kept in --work and read from there, so that
 the table can be made in many calls; a new version of the program wants a new --work. A table of eval/results/ is
 written, whole, when all its rows are there: evidence.csv of the scenes, keypoints.csv and keypoints_fused.csv of the
 development sessions.
@@ -51,7 +51,7 @@ METHODS = ("triangulation", "keypoints", "volumes", "fused", "fused_depth")
 CAMERAS = (2, 3, 4, 7)
 # Cameras on the ring, far apart: the first two look from sides at right angles, as far as seven on a ring can.
 OF_RING = (0, 2, 4, 1, 5, 3, 6)
-N_SEEDS = 3  # of evidence.csv
+N_SEEDS = 5  # of evidence.csv
 EPSILON_MM = 100.0
 FIELDS = (
     *("session", "cameras", "method", "seed", "persons", "found"),
