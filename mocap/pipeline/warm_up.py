@@ -23,6 +23,7 @@ _N_CAMERAS, _SIZE, _FOCAL_PX = 6, (192, 144), 150.0
 _N_EMPTY, _N_FRAMES = 5, 12  # fewer frames are no clip: front and back would not be told apart by motion
 _FPS = 10.0
 _ROOM_M = ((-1.0, -1.0, 0.0), (1.0, 1.0, 2.1))
+_SHADOW_M, _SHADOW_LIGHT = 0.45, 0.7  # radius of the shadow, and the share of the light that is left there
 # What makes a run short and changes no kernel.
 _SETTINGS = (
     "volume.voxel_size_m=0.04",
@@ -101,7 +102,12 @@ def _cameras() -> Iterator[Camera]:
 
 
 def _draw(picture: NDArray[np.uint8], camera: Camera, place: Array) -> None:
-    """The stick figure at a place (3,) m into a picture (H, W, 3)."""
+    """The stick figure at a place (3,) m and its shadow on the floor into a picture (H, W, 3)."""
+    around = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
+    rim = np.stack([_SHADOW_M * np.cos(around), _SHADOW_M * np.sin(around), np.zeros(12)], axis=1)
+    dark = np.zeros(picture.shape[:2], dtype=np.uint8)
+    cv2.fillConvexPoly(dark, camera.project(rim + place)[0].round().astype(np.int32), 1)
+    picture[dark > 0] = (_SHADOW_LIGHT * picture[dark > 0]).astype(np.uint8)
     for start, end, radius_m, colour in _LIMBS:
         uv, depth = camera.project(np.array([start, end]) + place)
         width = max(1, round(2 * radius_m * _FOCAL_PX / float(depth.mean())))
