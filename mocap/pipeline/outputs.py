@@ -45,7 +45,7 @@ from mocap.view.scene import CodedPictures
 
 STEP_COLUMNS = (
     *("person", "foot", "strike_frame", "strike_std_frames", "off_frame", "off_std_frames", "x_m", "y_m"),
-    *("length_m", "width_m", "time_s", "stance_s", "swing_s", "speed_m_s"),
+    *("length_m", "width_m", "time_s", "stance_s", "swing_s", "speed_m_s", "observed"),
 )
 CYCLE_COLUMNS = (
     *(
@@ -100,17 +100,18 @@ def write_steps_csv(path: Path, people: Sequence[Kinematics]) -> None:
     """One row per stance, by person and time, with the step that it ends where there is one; unknown = empty."""
     lines = [",".join(STEP_COLUMNS)]
     for person in people:
-        gait, first = person.gait, person.first_frame
+        gait = person.gait
         steps = {step.stance: step for step in gait.steps}
         for stance in gait.stances:
             step = steps.get(stance)
             numbers = (
-                None if stance.strike is None else stance.strike + first,
+                None if stance.strike is None else person.frame_of(stance.strike),
                 stance.strike_std,
-                None if stance.off is None else stance.off + first,
+                None if stance.off is None else person.frame_of(stance.off),
                 stance.off_std,
                 *stance.place,
-                *(getattr(step, name, None) for name in STEP_COLUMNS[8:]),
+                *(getattr(step, name, None) for name in STEP_COLUMNS[8:-1]),
+                int(stance.is_observed),
             )
             cells = ["" if v is None else str(v) if isinstance(v, int) else f"{v:.4f}" for v in numbers]
             lines.append(",".join([str(gait.person), stance.side, *cells]))
@@ -136,7 +137,8 @@ def write_moves_csv(path: Path, people: Sequence[Kinematics]) -> None:
     lines = [",".join(MOVE_COLUMNS)]
     for person in people:
         for move in person.moves:
-            frames = [str(row + person.first_frame) for row in (move.begin, move.extreme, move.end)]
+            begin, extreme, last = (person.frame_of(row) for row in (move.begin, move.extreme, move.end - 1))
+            frames = [str(begin), str(extreme), str(last + 1)]
             knee = None if move.knee_flexion_rad is None else np.rad2deg(move.knee_flexion_rad)
             numbers = (move.height_m, move.flight_s, move.flight_height_m, knee)
             cells = ["" if v is None else f"{v:.4f}" for v in numbers]
@@ -196,7 +198,7 @@ def motion_writers(person: Kinematics, style: MotionStyle) -> dict[str, Callable
 def foot_events(person: Kinematics) -> list[Event]:
     """Strikes and offs of both feet by time, as gait laboratories call them; none of a body without feet."""
     found = [
-        Event(label, stance.side.title(), (row + person.first_frame) / person.fps)
+        Event(label, stance.side.title(), person.frame_of(row) / person.fps)
         for stance in person.gait.stances
         for label, row in (("Foot Strike", stance.strike), ("Foot Off", stance.off))
         if row is not None

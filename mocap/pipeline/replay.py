@@ -41,6 +41,7 @@ _GAIT = (
     ("cadence_per_min", "cadence", "{:.0f} per minute"),
     ("step_length_m", "step length", "{:.2f} m"),
     ("step_length_asymmetry_percent", "step lengths of the sides differ by", "{:.0f} %"),
+    ("step_time_asymmetry_percent", "step times of the sides differ by", "{:.0f} %"),
     ("step_width_m", "step width", "{:.2f} m"),
     ("stance_s", "stance", "{:.2f} s"),
     ("swing_s", "swing", "{:.2f} s"),

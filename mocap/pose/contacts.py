@@ -37,15 +37,18 @@ class Contacts:
         return [unbroken_runs(own > 0.5) for own in self.probability.T]
 
 
-def contacts_of(points: Array, variance: Array, fps: float, settings: ContactSettings) -> Contacts:
+def contacts_of(
+    points: Array, variance: Array, fps: float, settings: ContactSettings, level: Array | None = None
+) -> Contacts:
     """When sole points (T, 4, 3) m, world, rest on the floor.
 
-    variance : (T, 4) m^2, of their heights. A point that rests is as high as its usual lowest place and does not
-    move; one in the air is higher and fast. Both states last for a while, so that a frame is judged with its
-    neighbours: the forward-backward recursion of a two-state Markov chain. Source: Rabiner 1989.
+    variance : (T, 4) m^2, of their heights.  level : (4,) m, how high each is while it rests; None = `lowest_level`.
+    A point that rests is as high as its usual lowest place and does not move; one in the air is higher and fast. Both
+    states last for a while, so that a frame is judged with its neighbours: the forward-backward recursion of a
+    two-state Markov chain. Source: Rabiner 1989.
     """
     T = len(points)
-    level = lowest_level(points, settings)
+    level = lowest_level(points, settings) if level is None else level
     if T < 2:
         nothing = np.zeros((T, points.shape[1]))
         return Contacts(nothing, level, nothing)

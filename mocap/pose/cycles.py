@@ -64,7 +64,8 @@ def _cycles(side: str, gait: Gait, angles: AngleSeries) -> GaitCycles:
         begin, off, end = stance.strike, stance.off, following.strike
         assert begin is not None
         assert end is not None
-        if off is not None and sum(begin < other < end for other in others) == 1:
+        is_unbroken = angles.frames[end] - angles.frames[begin] == end - begin
+        if off is not None and is_unbroken and sum(begin < other < end for other in others) == 1:
             rows.append((begin, end))
             offs.append(100.0 * (off - begin) / (end - begin))
     names = [name for name in angles.names if not name.startswith(_OTHER_SIDE[side])]

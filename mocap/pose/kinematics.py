@@ -31,10 +31,10 @@ class Kinematics:
     fps: float
     method: Method = field(default_factory=Method)
 
-    @property
-    def first_frame(self) -> int:
-        """The frame of the first pose, 0 without one."""
-        return int(self.poses.frames[0]) if len(self.poses.frames) else 0
+    def frame_of(self, row: int) -> int:
+        """The frame of a pose, or the one after the last pose before `row`, where there is none in it."""
+        frames = self.poses.frames
+        return int(frames[row]) if row < len(frames) else int(frames[-1]) + 1
 
     @cached_property
     def motion(self) -> Motion:

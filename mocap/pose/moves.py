@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from mocap.data.motion import ALL_LANDMARKS
 from mocap.pose.angles import angles_of_states, body_angles
 from mocap.pose.contacts import unbroken_runs
 from mocap.pose.result import PersonPoses
-from mocap.pose.steps import SIDES, Gait
+from mocap.pose.steps import SIDES, Gait, over_floor, unbroken_stretches
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -47,14 +47,21 @@ class Move:
 
 
 def moves_of(poses: PersonPoses, gait: Gait, fps: float) -> tuple[Move, ...]:
-    """The jumps and squats of one person by time; none where contacts are not told."""
+    """The jumps and squats of one person by time, those of every stretch between two absences; none where contacts are
+    not told."""
     if gait.contacts is None:
         return ()
-    pelvis = poses.landmarks[:, ALL_LANDMARKS.index("pelvis"), 2]
+    pelvis = over_floor(poses.landmarks[:, [ALL_LANDMARKS.index("pelvis")]], gait.slope)[:, 0, 2]
     names = body_angles(poses.body)
     knees = [names.index(f"{side}_knee_flexion") for side in SIDES]
     bent = angles_of_states(poses.body, poses.states)[:, knees].max(axis=1)
-    return find_moves(pelvis, gait.contacts.probability > 0.5, bent, fps)
+    rests, found = gait.contacts.probability > 0.5, []
+    for rows in unbroken_stretches(poses.frames):
+        found += [
+            replace(m, **{name: getattr(m, name) + rows.start for name in ("begin", "extreme", "end")})
+            for m in find_moves(pelvis[rows], rests[rows], bent[rows], fps)
+        ]
+    return tuple(found)
 
 
 def find_moves(pelvis: Array, rests: Mask, knee: Array, fps: float) -> tuple[Move, ...]:

@@ -146,24 +146,24 @@ def test_a_hidden_foot_is_said_in_words() -> None:
     gait = gait_of(poses, FPS, SETTINGS)
     assert gait.contacts is None
     assert not gait.steps
-    (warning,) = warnings_of_gait(poses, gait, SETTINGS)
+    (warning,) = warnings_of_gait(poses, gait, FPS, SETTINGS)
     assert "the left foot was observed in 17 % of the frames only" in warning
     assert gait_numbers(gait) == {}
 
 
 def test_a_floor_that_is_not_there_is_said_in_words() -> None:
     poses = poses_of(walk() + np.array([0.0, 0.0, 0.3]))
-    (warning,) = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), SETTINGS)
+    (warning,) = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), FPS, SETTINGS)
     assert "there is no floor at z = 0" in warning
 
 
 def test_a_treadmill_is_said_in_words() -> None:
     on_belt = walk() - 1.3 * (np.arange(T) / FPS)[:, None, None] * np.array([np.cos(0.4), np.sin(0.4), 0.0])
     poses = poses_of(on_belt)
-    warnings = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), SETTINGS)
+    warnings = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), FPS, SETTINGS)
     assert any("treadmill" in w for w in warnings)
     still = poses_of(walk())
-    assert warnings_of_gait(still, gait_of(still, FPS, SETTINGS), SETTINGS) == []
+    assert warnings_of_gait(still, gait_of(still, FPS, SETTINGS), FPS, SETTINGS) == []
 
 
 def test_a_body_without_feet_has_no_contacts_and_no_warning() -> None:
@@ -171,14 +171,66 @@ def test_a_body_without_feet_has_no_contacts_and_no_warning() -> None:
     poses = replace(poses, landmarks=poses.landmarks[:, :15], observed=poses.observed[:, :15])
     gait = gait_of(poses, FPS, SETTINGS)
     assert gait.contacts is None
-    assert warnings_of_gait(poses, gait, SETTINGS) == []
+    assert warnings_of_gait(poses, gait, FPS, SETTINGS) == []
 
 
-def test_a_person_who_was_away_is_said_in_words() -> None:
+def test_who_was_away_has_the_steps_of_every_stretch() -> None:
     poses = poses_of(walk())
-    poses = replace(poses, frames=np.where(np.arange(T) < 60, np.arange(T), np.arange(T) + 30))
-    (warning,) = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), SETTINGS)
-    assert "was away" in warning
+    frames = np.where(np.arange(T) < 60, np.arange(T), np.arange(T) + 30)
+    away = replace(poses, frames=frames)
+    gait, whole = gait_of(away, FPS, SETTINGS), gait_of(poses, FPS, SETTINGS)
+    assert warnings_of_gait(away, gait, FPS, SETTINGS) == []
+    strikes, before = ([s.strike for s in g.stances if s.strike is not None] for g in (gait, whole))
+    assert set(strikes) <= set(before)  # rows; the stance that the absence cuts has no strike
+    assert min(strikes) < 60 < max(strikes)
+    assert not any(s.stance.strike - round(s.time_s * FPS) < 60 <= s.stance.strike for s in gait.steps)
+    assert len(gait.steps) == sum(
+        not s.stance.strike - round(s.time_s * FPS) < 60 <= s.stance.strike for s in whole.steps
+    )
+    person = Kinematics(away, FPS, Method(contact=SETTINGS))
+    told = sorted(round(e.time_s * FPS) for e in foot_events(person) if e.label == "Foot Strike")
+    assert told == sorted(frames[row] for row in strikes)
+    assert all(np.ptp(frames[list(r)]) == r[1] - r[0] for c in person.cycles for r in c.rows)
+
+
+def test_feet_on_stairs_are_said_in_words() -> None:
+    landmarks = np.repeat(walk()[:1], T, axis=0)
+    landmarks[:, SOLE, 2] = 0.0
+    landmarks[40:100, SOLE[:2], 2] = 0.17
+    poses = poses_of(landmarks)
+    words = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), FPS, SETTINGS)
+    assert any("rests 17 cm over the floor" in text for text in words)
+
+
+def test_a_floor_just_out_of_reach_is_not_passed_over_in_silence() -> None:
+    """Between 6 cm, where a lowest place of all soles is, and 8, where each of them is: nothing rests."""
+    for shift in np.arange(0.0, 0.2, 0.01):
+        poses = poses_of(walk() + np.array([0.0, 0.0, shift]))
+        gait = gait_of(poses, FPS, SETTINGS)
+        assert gait.steps or warnings_of_gait(poses, gait, FPS, SETTINGS), shift
+
+
+def test_a_pause_is_no_slow_step() -> None:
+    landmarks = walk()
+    paused = poses_of(
+        np.concatenate([landmarks[:60], np.repeat(landmarks[60:61], 150, axis=0), landmarks[60:]])
+    )
+    told, plain = (gait_numbers(gait_of(p, FPS, SETTINGS)) for p in (paused, poses_of(landmarks)))
+    for name in ("cadence_per_min", "speed_m_s", "stance_s", "step_length_m"):
+        assert told[name] == pytest.approx(plain[name], rel=0.06), name
+
+
+def test_a_stance_that_was_not_seen_counts_in_no_mean() -> None:
+    poses = poses_of(walk())
+    gait = gait_of(poses, FPS, SETTINGS)
+    hidden = gait.steps[2].stance
+    observed = poses.observed.copy()
+    observed[hidden.strike : hidden.off, ALL_LANDMARKS.index(f"{hidden.side}_heel")] = False
+    again = gait_of(replace(poses, observed=observed), FPS, SETTINGS)
+    assert [s.is_observed for s in again.stances].count(False) == 1
+    assert next(s for s in again.stances if not s.is_observed).strike == hidden.strike
+    assert gait_numbers(again)["steps"] == gait_numbers(gait)["steps"]
+    assert gait_numbers(again)["step_length_m"] != gait_numbers(gait)["step_length_m"]
 
 
 # ------------------------------------------------------------------------------------------------------------ floor
@@ -204,6 +256,32 @@ def test_the_floor_of_the_feet_is_measured(shift_m: float, tilt_deg: float) -> N
         assert check.downhill_deg == pytest.approx(0.0, abs=8.0)
     else:
         assert check.height_m == pytest.approx(shift_m, abs=0.004)
+
+
+@pytest.mark.parametrize("tilt_deg", [2.0, 4.0, 8.0])
+def test_steps_are_told_on_a_floor_that_falls(tilt_deg: float) -> None:
+    """Half of the steps were missed on a floor of two degrees, and all, without a word of a slope, on one of four."""
+    figure = make_figure(1.75, "male", 1.0, rng=np.random.default_rng(4))
+    pose = MOTIONS["walk"](
+        figure,
+        240,
+        FPS,
+        rng=np.random.default_rng(4),
+        path=Path((0.0, 0.0), (1.6, 1.2), 0.0, False),
+        speed_m_s=1.2,
+    )
+    where = forward_kinematics(figure.offsets, pose.rotations, pose.root_position)
+    level = np.concatenate([figure_landmarks(figure, *where), feet_and_hands_of(figure, *where)], axis=1)
+    a = np.deg2rad(tilt_deg)
+    falls = level @ np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]]).T
+    plain, tilted = (gait_of(poses_of(p), FPS, SETTINGS) for p in (level, falls))
+    assert plain.slope is None
+    assert [s.side for s in tilted.stances] == [s.side for s in plain.stances]
+    for own, true in zip(tilted.stances, plain.stances, strict=True):
+        assert (own.strike is None) == (true.strike is None)
+        assert own.strike is None or abs(own.strike - true.strike) <= 1
+    (words,) = warnings_of_gait(poses_of(falls), tilted, FPS, SETTINGS)
+    assert f"falls by {tilt_deg:.1f} degrees" in words
 
 
 def test_whole_is_girdle_until_its_chest_feet_and_hands_move() -> None:

@@ -348,7 +348,7 @@ def poses_report(job: Job) -> StageReport:
         }
         for p in poses
     }
-    warnings = [w for p in poses for w in (*p.warnings, *warnings_of_gait(p, gaits[p.person], settings))]
+    warnings = [w for p in poses for w in (*p.warnings, *warnings_of_gait(p, gaits[p.person], fps, settings))]
     return StageReport(tuple(warnings), {"persons": persons})
 
 
