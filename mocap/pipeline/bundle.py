@@ -24,6 +24,7 @@ from mocap.pipeline.publish import RUN_FILE
 _TABLES = (
     "landmarks.csv",
     "angles.csv",
+    "contacts.csv",
     "steps.csv",
     "cycles.csv",
     "moves.csv",

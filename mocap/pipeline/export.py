@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from mocap.data import Hull
 from mocap.errors import MocapError
@@ -16,9 +17,11 @@ from mocap.files import load_json
 from mocap.io._files import writing
 from mocap.io.formats import voxels, write_bids_motion, write_mesh, write_movement
 from mocap.io.store import StageStore
+from mocap.pipeline.config import Config
 from mocap.pipeline.outputs import MotionStyle, motion_writers
 from mocap.pipeline.outside import check_outside
 from mocap.pose.kinematics import Kinematics
+from mocap.pose.method import Method
 from mocap.pose.result import PersonPoses, motion_of
 from mocap.products import poses as poses_product
 from mocap.products.hulls import PRODUCT, grid_from_attrs, hull_from_arrays
@@ -80,10 +83,10 @@ def export_run(
     tick = progress or no_progress
     if what != "motion":
         return _export_hulls(store, folder, _hull_writers(cubes)[what, chosen], frames, tick)
-    fps, session = _rate_and_session(out)
+    fps, session, method = _about(out)
     if chosen in ("nc", "bids"):
         return _export_together(store, folder, chosen, frames, fps, style.task or session)
-    return _export_motion(store, folder, chosen, frames, fps, style, tick)
+    return _export_motion(store, folder, chosen, frames, fps, method, style, tick)
 
 
 def _hull_writers(cubes: bool) -> dict[tuple[str, str], HullWriter]:
@@ -127,6 +130,7 @@ def _export_motion(
     format: str,
     frames: Frames | None,
     fps: float,
+    method: Method,
     style: MotionStyle,
     progress: Progress,
 ) -> list[Path]:
@@ -135,7 +139,7 @@ def _export_motion(
     written = []
     for i, poses in enumerate(people):
         path = folder / f"person_{poses.person}.{format}"
-        motion_writers(Kinematics(poses, fps), style)[format](path)
+        motion_writers(Kinematics(poses, fps, method), style)[format](path)
         written.append(path)
         progress("export", i + 1, len(people))
     return written
@@ -189,14 +193,24 @@ def _no_frames(frames: Frames | None, first: int, last: int) -> MocapError:
     )
 
 
-def _rate_and_session(out: Path) -> tuple[float, str]:
-    """Frames a second of the run, and what its session is called."""
+def _about(out: Path) -> tuple[float, str, Method]:
+    """Frames a second of the run, what its session is called, and its settings of angles and contacts; the usual ones
+    where another version has made it."""
     try:
         about = load_json(out / "run.json")
-        return float(about["fps"]), str(about.get("session", "session"))
+        config = about.get("config")
+        method = Method() if config is None else _method_of(config)
+        return float(about["fps"]), str(about.get("session", "session")), method
     except (MocapError, ValueError, KeyError, TypeError) as error:
         raise MocapError(
             "the frame rate of the run is not known",
             path=out / "run.json",
             remedy="run `mocap run SESSION -o OUT` to its end",
         ) from error
+
+
+def _method_of(config: object) -> Method:
+    try:
+        return Config.model_validate(config).method
+    except ValidationError:
+        return Method()

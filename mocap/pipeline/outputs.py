@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mocap.body import body_skin, skeleton_of
+from mocap.data.motion import ALL_LANDMARKS
 from mocap.errors import MissingExtra, MocapError
 from mocap.io._files import atomic_text, writing
 from mocap.io.angle_table import write_angles_csv
@@ -35,6 +36,7 @@ from mocap.pipeline.config import OutputConfig
 from mocap.pipeline.record import Found
 from mocap.pipeline.scene_frames import write_scene
 from mocap.pipeline.tracking import every_frame
+from mocap.pose.contacts import SOLE_POINTS
 from mocap.pose.cycles import PERCENT
 from mocap.pose.kinematics import Kinematics
 from mocap.pose.opensim import opensim_bodies
@@ -43,6 +45,7 @@ from mocap.products.poses import body_files
 from mocap.progress import Progress
 from mocap.view.scene import CodedPictures
 
+CONTACT_COLUMNS = ("frame", "time_s", "person", "point", "probability", "observed")
 STEP_COLUMNS = (
     *("person", "foot", "strike_frame", "strike_std_frames", "off_frame", "off_std_frames", "x_m", "y_m"),
     *("length_m", "width_m", "time_s", "stance_s", "swing_s", "speed_m_s", "observed"),
@@ -88,12 +91,32 @@ def write_tables(found: Found, folder: Path, *, has_poses: bool) -> None:
         return
     write_landmarks_csv(folder / "landmarks.csv", found.motions)
     write_angles_csv(folder / "angles.csv", [person.angles for person in found.people])
+    write_contacts_csv(folder / "contacts.csv", found.people)
     write_steps_csv(folder / "steps.csv", found.people)
     write_cycles_csv(folder / "cycles.csv", found.people)
     write_moves_csv(folder / "moves.csv", found.people)
     write_pose_npz(folder / "pose.npz", found.poses)
     for name, text in body_files(found.store, found.poses).items():
         atomic_text(folder / name, text)
+
+
+def write_contacts_csv(path: Path, people: Sequence[Kinematics]) -> None:
+    """How probable it is that a heel or toe rests on the floor, one row per person, frame and point; none of a person
+    whose contacts are not told."""
+    lines = [",".join(CONTACT_COLUMNS)]
+    for person in people:
+        contacts, poses = person.gait.contacts, person.poses
+        if contacts is None:
+            continue
+        names = [ALL_LANDMARKS[k] for k in SOLE_POINTS]
+        seen = poses.observed[:, list(SOLE_POINTS)].astype(int).tolist()
+        for frame, of_frame, observed in zip(
+            poses.frames.tolist(), contacts.probability.tolist(), seen, strict=True
+        ):
+            begin = f"{frame},{frame / person.fps:.6f},{poses.person}"
+            rows = zip(names, of_frame, observed, strict=True)
+            lines += [f"{begin},{name},{value:.4f},{own}" for name, value, own in rows]
+    atomic_text(path, "\n".join(lines) + "\n")
 
 
 def write_steps_csv(path: Path, people: Sequence[Kinematics]) -> None:
@@ -190,7 +213,7 @@ def motion_writers(person: Kinematics, style: MotionStyle) -> dict[str, Callable
             write_trc, motion=motion, fps=fps, markers=style.marker_names, is_filled=style.is_filled
         ),
         "c3d": lambda path: write_c3d(path, motion, fps, foot_events(person)),
-        "mot": lambda path: write_mot(path, motion.time_s, person.coordinates),
+        "mot": lambda path: write_mot(path, motion.time_s, person.coordinates, person.unseen),
         "osim": lambda path: write_opensim(path, person, style),
     }
 
@@ -206,8 +229,17 @@ def foot_events(person: Kinematics) -> list[Event]:
     return sorted(found, key=lambda event: event.time_s)
 
 
-# Coordinates that no marker shows: inverse kinematics draws them to ours, so weakly that markers outweigh it.
-_HELD = dict.fromkeys(("lumbar_extension", "lumbar_bending", "lumbar_rotation"), 0.01)
+# Coordinates that no marker shows, or none without this landmark, which not every set of names has: inverse kinematics
+# draws them to ours, so weakly that markers outweigh it.
+_HELD_WEIGHT = 0.01
+_HELD = {
+    "": ("lumbar_extension", "lumbar_bending", "lumbar_rotation"),
+    "head": ("neck_extension", "neck_bending", "neck_rotation"),
+    **{
+        f"{side}_hand_tip": tuple(f"{name}_{side[0]}" for name in ("pro_sup", "wrist_flex", "wrist_dev"))
+        for side in ("left", "right")
+    },
+}
 
 
 def write_opensim(path: Path, person: Kinematics, style: MotionStyle) -> None:
@@ -230,7 +262,7 @@ def write_opensim(path: Path, person: Kinematics, style: MotionStyle) -> None:
     write_osim(path, bodies)
     write_marker_set(beside["markers.xml"], bodies)
     write_trc(beside["ik.trc"], motion, fps, markers=style.marker_names, is_filled=True)
-    write_mot(beside["ik.mot"], motion.time_s, person.coordinates)
+    write_mot(beside["ik.mot"], motion.time_s, person.coordinates, person.unseen)
     write_ik_setup(
         beside["ik.xml"],
         model=path.name,
@@ -238,7 +270,12 @@ def write_opensim(path: Path, person: Kinematics, style: MotionStyle) -> None:
         coordinates=beside["ik.mot"].name,
         motion=f"{stem}_ik_result.mot",
         markers=list(names.values()),
-        held={name: weight for name, weight in _HELD.items() if name in person.coordinates},
+        held={
+            coordinate: _HELD_WEIGHT
+            for landmark, coordinates in _HELD.items()
+            for coordinate in coordinates
+            if landmark not in names and coordinate in person.coordinates
+        },
         time_s=motion.time_s,
     )
     write_scale_setup(

@@ -18,7 +18,8 @@ _UNPUBLISHED = ".outputs.partial"
 RUN_FILE = "run.json"
 # Every name that a run, or a command on a finished run, gives a file in its output folder.
 _OUTPUT = re.compile(
-    r"run\.json|tracks\.csv|landmarks\.csv|angles\.csv|steps\.csv|cycles\.csv|moves\.csv|pose\.npz|scores\.json|body(_\d+)?\.toml|"
+    r"run\.json|tracks\.csv|landmarks\.csv|angles\.csv|contacts\.csv|steps\.csv|cycles\.csv|moves\.csv|"
+    r"pose\.npz|scores\.json|body(_\d+)?\.toml|"
     r"person_\d+\.(bvh|trc|c3d|glb|mot|osim)|"
     r"person_\d+(_filled\.csv|_ik_filled\.csv|_ik\.(trc|mot|xml)|_markers\.xml|_scale\.xml)|"
     r"scene\.rrd|report\.html|overlay_.+\.mp4"

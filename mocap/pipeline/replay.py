@@ -47,7 +47,12 @@ _GAIT = (
     ("swing_s", "swing", "{:.2f} s"),
     ("stance_percent", "share of stance", "{:.0f} %"),
 )
-_MIDDLE_CHARTS = (("Trunk flexion", "trunk_flexion"), ("Pelvis tilt", "pelvis_tilt"))
+_MIDDLE_CHARTS = (
+    ("Trunk flexion", "trunk_flexion"),
+    ("Neck flexion", "neck_flexion"),
+    ("Pelvis tilt", "pelvis_tilt"),
+    ("Pelvis obliquity", "pelvis_obliquity"),
+)
 
 
 def replay_of(found: Found, sheets: Sheets) -> Replay:

@@ -22,6 +22,7 @@ OUTPUT_WORDS = {
     "tracks.csv": "where every person is in every frame, how certain that is, and whether he was seen",
     "landmarks.csv": "landmarks per person and frame, with standard deviations, metres",
     "angles.csv": "anatomical angles per person and frame, with standard deviations, degrees",
+    "contacts.csv": "how probable it is that heels and toes rest on the floor, per frame",
     "steps.csv": "foot contacts and steps of every person",
     "cycles.csv": "angles over the gait cycle, means and deviations, degrees",
     "moves.csv": "jumps and squats: when, how high and how deep",
@@ -111,31 +112,37 @@ def _summary(record: RunRecord, found: Found) -> list[tuple[str, str]]:
     """The first table of the report."""
     height = ", ".join(f"person {p.person}: {p.body.height_m:.2f} m" for p in found.poses)
     return [
+        ("Body height", height or "no person"),
+        *_motion_words(record, _DONE),
         ("Cameras", ", ".join(record.cameras)),
         ("Frames", f"{record.frames.start} to {record.frames.stop - 1} at {record.fps:g} frames/s"),
-        ("Body height", height or "no person"),
         *_observation_words(record),
-        *_motion_words(record),
+        *_motion_words(record, _QUALITY),
         ("Pose filter", _filter_words(record)),
         ("Seed", str(record.seed)),
     ]
 
 
-def _motion_words(record: RunRecord) -> list[tuple[str, str]]:
-    """What the poses say of themselves: how much of them was observed, and how calm they are."""
+# What a coach reads first; and what the poses say of themselves. (name, number that must be there, words)
+_DONE = (
+    (
+        "Steps",
+        "cadence_per_min",
+        "{steps:.0f} at {cadence_per_min:.0f} per minute, {step_length_m:.2f} m long, {step_width_m:.2f} m wide, "
+        "{speed_m_s:.2f} m/s",
+    ),
+    ("Jumps", "jumps", "{jumps:.0f}, the highest {highest_jump_m:.2f} m"),
+    ("Squats", "squats", "{squats:.0f}, the deepest {deepest_squat_m:.2f} m"),
+)
+_QUALITY = (
+    ("Landmarks observed", "observed_percent", "{observed_percent:.1f} %"),
+    ("Jitter of landmarks", "jitter_m_s3", "{jitter_m_s3:.0f} m/s^3"),
+)
+
+
+def _motion_words(record: RunRecord, told: tuple[tuple[str, str, str], ...]) -> list[tuple[str, str]]:
+    """What the motion of the persons is, in numbers."""
     persons = record.numbers.get("pose", {}).get("persons", {})
-    told = (
-        ("Landmarks observed", "observed_percent", "{observed_percent:.1f} %"),
-        ("Jitter of landmarks", "jitter_m_s3", "{jitter_m_s3:.0f} m/s^3"),
-        (
-            "Steps",
-            "cadence_per_min",
-            "{steps:.0f} at {cadence_per_min:.0f} per minute, {step_length_m:.2f} m long, {step_width_m:.2f} m wide, "
-            "{speed_m_s:.2f} m/s",
-        ),
-        ("Jumps", "jumps", "{jumps:.0f}, the highest {highest_jump_m:.2f} m"),
-        ("Squats", "squats", "{squats:.0f}, the deepest {deepest_squat_m:.2f} m"),
-    )
     rows = []
     for name, key, words in told:
         of = [f"person {p}: {words.format(**n)}" for p, n in persons.items() if n.get(key) is not None]

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import AngleSeries
+from mocap.geometry.rigid import wrap_angle
 from mocap.pose.steps import SIDES, Gait
 
 Array = NDArray[np.float64]
 
 PERCENT = np.arange(101.0)  # of a cycle: 0 = strike, 100 = the next strike of the same foot
+_LEAST_WAY_M = 0.2  # of the pelvis in a cycle; who goes less far marches on the spot
 # A cycle of the left foot holds the angles of the left leg and those of the middle; arms swing as well.
 _OTHER_SIDE = {"left": "right_", "right": "left_"}
 
@@ -45,18 +47,20 @@ class GaitCycles:
         return values.mean(axis=0), between, np.sqrt((std**2).mean(axis=0))
 
 
-def cycles_of(gait: Gait, angles: AngleSeries) -> tuple[GaitCycles, ...]:
+def cycles_of(gait: Gait, angles: AngleSeries, pelvis: Array | None = None) -> tuple[GaitCycles, ...]:
     """The gait cycles of both feet; none where nobody walks, or contacts are not told.
 
     angles : of the same frames as the gait.  A cycle goes from a strike to the next one of the same foot; between them
     the foot leaves the floor once and the other one strikes once. What the clip cuts off, and where a step was missed,
     is no cycle.
+    pelvis : (T, 2) m, over the floor. With it `pelvis_rotation` counts from the way that the pelvis goes in the cycle,
+    as laboratories have it, or from its mean where it stays; without it from +x of the world.
     """
-    found = (_cycles(side, gait, angles) for side in SIDES)
+    found = (_cycles(side, gait, angles, pelvis) for side in SIDES)
     return tuple(cycles for cycles in found if len(cycles))
 
 
-def _cycles(side: str, gait: Gait, angles: AngleSeries) -> GaitCycles:
+def _cycles(side: str, gait: Gait, angles: AngleSeries, pelvis: Array | None) -> GaitCycles:
     own = [s for s in gait.stances if s.side == side and s.strike is not None]
     others = [s.strike for s in gait.stances if s.side != side and s.strike is not None]
     rows, offs = [], []
@@ -72,12 +76,20 @@ def _cycles(side: str, gait: Gait, angles: AngleSeries) -> GaitCycles:
     columns = [angles.names.index(name) for name in names]
     values = np.unwrap(angles.values[:, columns], axis=0)
     std = np.full(values.shape, np.nan) if angles.std is None else angles.std[:, columns]
+    resampled = _resampled(values, rows)
+    if pelvis is not None and "pelvis_rotation" in names:
+        heading = resampled[:, names.index("pelvis_rotation")]
+        for n, (begin, end) in enumerate(rows):
+            way = pelvis[end] - pelvis[begin]
+            ahead = np.arctan2(way[1], way[0]) if np.linalg.norm(way) >= _LEAST_WAY_M else heading[n].mean()
+            turned = heading[n].mean() - ahead
+            heading[n] += wrap_angle(turned) - heading[n].mean()
     return GaitCycles(
         side,
         tuple(names),
         np.array(rows, dtype=np.int64).reshape(-1, 2),
         np.array(offs, dtype=np.float64),
-        _resampled(values, rows),
+        resampled,
         _resampled(std, rows),
     )
 

@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import AngleSeries, Motion
+from mocap.data import LANDMARKS, AngleSeries, Motion
 from mocap.pose.angles import anatomical_states, angles_of
 from mocap.pose.cycles import GaitCycles, cycles_of
 from mocap.pose.method import Method
 from mocap.pose.moves import Move, moves_of
-from mocap.pose.opensim import coordinates_of_states
+from mocap.pose.opensim import coordinate_of_angle, coordinates_of_states
 from mocap.pose.result import PersonPoses, motion_of
 from mocap.pose.steps import Gait, gait_of
 
@@ -52,6 +52,13 @@ class Kinematics:
         return coordinates_of_states(self.poses.body, self._anatomy[0])
 
     @cached_property
+    def unseen(self) -> tuple[str, ...]:
+        """The coordinates of OpenSim that were observed in no frame: they are what is usual."""
+        seen = self.angles.observed
+        found = (coordinate_of_angle(name) for name in self.angles.names)
+        return tuple(c[0] for a, c in enumerate(found) if c and seen is not None and not seen[:, a].any())
+
+    @cached_property
     def gait(self) -> Gait:
         """Contacts and steps."""
         return gait_of(self.poses, self.fps, self.method.contact)
@@ -59,7 +66,7 @@ class Kinematics:
     @cached_property
     def cycles(self) -> tuple[GaitCycles, ...]:
         """Angles over the gait cycles of both feet."""
-        return cycles_of(self.gait, self.angles)
+        return cycles_of(self.gait, self.angles, self.poses.landmarks[:, LANDMARKS.index("pelvis"), :2])
 
     @cached_property
     def moves(self) -> tuple[Move, ...]:

@@ -5,16 +5,18 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from marker_world import marching
 
-from mocap.body import landmarks_of, load_body_model, scale_body
+from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.initial import HeightEstimate
 from mocap.data import ALL_LANDMARKS, LANDMARKS, Motion, landmark_names
 from mocap.errors import MocapError
+from mocap.filters.refine import RefineSettings, refine
 from mocap.io.formats import MARKER_NAMES, marker_names, read_poses, write_trc
 from mocap.io.formats.trc import without_gaps
 from mocap.pipeline.export import _cut
@@ -22,7 +24,11 @@ from mocap.pipeline.outputs import MotionStyle, write_opensim
 from mocap.pose.kinematics import Kinematics
 from mocap.pose.method import AngleSettings, Method
 from mocap.pose.opensim import coordinates_of_states, opensim_bodies
+from mocap.pose.point_fit import PointFit
 from mocap.pose.result import PersonPoses
+from mocap.synth.figure import feet_and_hands_of, forward_kinematics, make_figure
+from mocap.synth.figure import landmarks_of as figure_landmarks
+from mocap.synth.motions import MOTIONS, Path
 
 FPS = 30.0
 T = 20
@@ -162,18 +168,54 @@ def test_files_name_each_other_and_what_is_in_them(tmp_path):
     assert all(set(pair.split()) <= in_model for pair in pairs)
 
 
+def drawn_by_ik(folder) -> set[str]:
+    tasks = ElementTree.parse(folder / "person_1_ik.xml").getroot().iter("IKCoordinateTask")
+    return {task.get("name") for task in tasks}
+
+
+def test_what_a_set_of_names_has_no_marker_for_is_drawn_to_our_coordinates(tmp_path):
+    lumbar = {"lumbar_extension", "lumbar_bending", "lumbar_rotation"}
+    hands = {f"{name}_{side}" for name in ("pro_sup", "wrist_flex", "wrist_dev") for side in "lr"}
+    neck = {"neck_extension", "neck_bending"}
+    for markers, drawn in (
+        ("mocap", lumbar),
+        ("halpe26", lumbar | hands),
+        ("opencap", lumbar | hands | neck),
+    ):
+        write_opensim(tmp_path / "person_1.osim", a_walk(), MotionStyle(marker_names=markers))
+        assert drawn_by_ik(tmp_path) == drawn, markers
+
+
+def test_the_motion_file_names_what_nothing_shows(tmp_path):
+    seen = a_walk()
+    observed = seen.poses.observed.copy()
+    observed[:, ALL_LANDMARKS.index("left_ankle")] = False
+    cut_off = Kinematics(replace(seen.poses, observed=observed), FPS)
+    for person, ankle in ((seen, False), (cut_off, True)):
+        write_opensim(tmp_path / "person_1.osim", person, STYLE)
+        head = (tmp_path / "person_1_ik.mot").read_text().split("endheader")[0].splitlines()
+        (names,) = (line.removeprefix("not_observed=").split() for line in head if line.startswith("not_obs"))
+        assert {"pro_sup_l", "pro_sup_r"} <= set(names)
+        assert ("ankle_angle_l" in names) == ankle
+        assert "ankle_angle_r" not in names
+    read = coordinates_in(tmp_path / "person_1_ik.mot")
+    assert set(read) == {"time", *seen.coordinates}
+
+
 def test_what_is_no_person_is_refused(tmp_path):
     nobody = Kinematics(_cut(a_walk().poses, np.zeros(T, dtype=bool)), FPS)
     with pytest.raises(MocapError, match="no frames"):
         write_opensim(tmp_path / "a.osim", nobody, STYLE)
 
 
-OPENSIM = """
+RUN_IK = """
 import json, os, sys
 import opensim
 os.chdir(sys.argv[1])
 opensim.Logger.setLevelString("error")
 assert opensim.InverseKinematicsTool("person_1_ik.xml").run()
+"""
+SCALE = """
 opensim.ScaleTool("person_1_scale.xml").run()
 scaled = opensim.Model("person_1_scaled.osim")
 scaled.initSystem()
@@ -196,7 +238,7 @@ def test_opensim_finds_our_angles_from_our_markers(tmp_path):
     write_opensim(tmp_path / "person_1.osim", a_walk(), STYLE)
     shutil.copy(tmp_path / "person_1.osim", tmp_path / "generic.osim")
     said = subprocess.run(
-        [sys.executable, "-c", OPENSIM, str(tmp_path)],
+        [sys.executable, "-c", RUN_IK + SCALE, str(tmp_path)],
         capture_output=True,
         text=True,
         timeout=300,
@@ -208,3 +250,57 @@ def test_opensim_finds_our_angles_from_our_markers(tmp_path):
         assert theirs[name] == pytest.approx(ours[name], abs=0.002 if "_t" in name[-3:] else 1.0), name
     assert np.ptp(ours["hip_flexion_r"]) > 20.0
     assert np.ptp(ours["ankle_angle_r"]) > 20.0
+
+
+def a_synthetic_walk(n: int = 60) -> Kinematics:
+    """The body fitted to the landmarks of a synthetic person who walks: everything moves, also what OpenSim's models
+    have not."""
+    rng = np.random.default_rng(4)
+    figure = make_figure(1.75, "male", 1.0, rng=rng)
+    way = Path((-2.0, 0.0), (0.0, 0.0), 0.4, False)
+    pose = MOTIONS["walk"](figure, n, FPS, rng=rng, path=way, speed_m_s=1.2)
+    where = forward_kinematics(figure.offsets, pose.rotations, pose.root_position)
+    places = np.concatenate([figure_landmarks(figure, *where), feet_and_hands_of(figure, *where)], axis=1)
+    upright = neutral_state(BODY)
+    upright[BODY.layout.names.index("root_yaw")] = way.start_rad
+    # What points leave open, such as how the pelvis stands between hips and trunk, is as usual.
+    usual = np.where(BODY.is_position, 10.0, np.minimum(BODY.usual_std, 0.5))
+    settings = RefineSettings(prior_std=usual, residual_std_m=0.01, n_iterations=60)
+    states = []
+    for frame in places:
+        upright[:3] = frame[0]
+        fit = PointFit(BODY, BODY.landmark_joint, BODY.landmark_offset, frame)
+        states.append(refine(fit, upright, settings)[0])
+    found = np.array(states)
+    own = landmarks_of(BODY, found)
+    off_mm = 1000 * np.linalg.norm(own - places, axis=2)
+    assert off_mm.mean() < 35.0  # so it is a walk
+    poses = a_walk().poses
+    still = {"frames": np.arange(n), "states": found, "landmarks": own}
+    wide = {"landmark_covariance": np.tile(1e-4 * np.eye(3), (*own.shape[:2], 1, 1))}
+    seen = {
+        "observed": np.ones(own.shape[:2], dtype=bool),
+        "log_likelihood": np.zeros(n),
+        "ess_share": np.ones(n),
+    }
+    return Kinematics(replace(poses, **still, **wide, **seen), FPS)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("opensim") is None, reason="opensim: the extra `opensim`")
+@pytest.mark.parametrize("markers", MARKER_NAMES)
+def test_opensim_agrees_with_us_on_a_walk(tmp_path, markers):
+    """Within 3 degrees (RMS) by every set of names: what a set has no marker for is drawn to our coordinates."""
+    write_opensim(tmp_path / "person_1.osim", a_synthetic_walk(), MotionStyle(marker_names=markers))
+    subprocess.run(
+        [sys.executable, "-c", RUN_IK, str(tmp_path)], check=True, timeout=300, capture_output=True
+    )
+    ours, theirs = (coordinates_in(tmp_path / f"person_1_{n}.mot") for n in ("ik", "ik_result"))
+    off = {name: float(np.sqrt(np.mean((theirs[name] - ours[name]) ** 2))) for name in set(ours) - {"time"}}
+    for name, value in off.items():
+        most = 0.012 if name[-3:] in ("_tx", "_ty", "_tz") else 3.0
+        if name == "pelvis_rotation":
+            most = 3.2  # 2.99 to 3.07: the chest turns against it, which two joints share here and one does there
+        assert value < most, name
+    assert np.ptp(ours["hip_flexion_r"]) > 20.0
+    assert np.ptp(ours["ankle_angle_r"]) > 15.0

@@ -82,7 +82,7 @@ def test_every_output_is_there(full: RunResult) -> None:
     exports = {f"person_1.{suffix}" for suffix in ("bvh", "trc", "c3d", "glb", "mot")}
     assert names == {
         *("run.json", "tracks.csv", "landmarks.csv", "pose.npz", "scene.rrd", "report.html", "store.zarr"),
-        *("angles.csv", "steps.csv", "cycles.csv", "moves.csv", "body.toml"),
+        *("angles.csv", "contacts.csv", "steps.csv", "cycles.csv", "moves.csv", "body.toml"),
         *exports,
     }
     assert full.status == "complete"

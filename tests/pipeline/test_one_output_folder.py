@@ -29,7 +29,8 @@ from mocap.pipeline.run import run_session
 from mocap.products.hulls import read_hulls
 
 WITH_POSES = {
-    *("run.json", "tracks.csv", "landmarks.csv", "angles.csv", "steps.csv", "cycles.csv", "moves.csv"),
+    *("run.json", "tracks.csv", "landmarks.csv", "angles.csv"),
+    *("contacts.csv", "steps.csv", "cycles.csv", "moves.csv"),
     *("pose.npz", "body.toml"),
 }
 SMALL = (*PLAIN, "volume.voxel_size_m=0.05")

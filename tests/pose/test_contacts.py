@@ -10,7 +10,15 @@ from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.initial import HeightEstimate
 from mocap.data.motion import ALL_LANDMARKS, FURTHER_LANDMARKS
 from mocap.io.formats import write_c3d
-from mocap.pipeline.outputs import MOVE_COLUMNS, foot_events, write_moves_csv
+from mocap.pipeline.outputs import (
+    CONTACT_COLUMNS,
+    MOVE_COLUMNS,
+    STEP_COLUMNS,
+    foot_events,
+    write_contacts_csv,
+    write_moves_csv,
+    write_steps_csv,
+)
 from mocap.pose.contacts import SOLE_POINTS, Contacts, contacts_of, held, lowest_level, slips_m, unbroken_runs
 from mocap.pose.deviation import FrameSeries
 from mocap.pose.kinematics import Kinematics
@@ -330,6 +338,31 @@ def standing_series(n: int, sway_m: float) -> FrameSeries:
     states[:, 0] += sway_m * np.sin(2 * np.pi * np.arange(n) / 24.0)
     series = FrameSeries.of_length(n, body)
     return replace(series, states=states, misfit=np.ones_like(series.misfit))
+
+
+def test_contacts_and_steps_are_tables(tmp_path: FilePath) -> None:
+    poses = poses_of(walk())
+    observed = poses.observed.copy()
+    observed[3, ALL_LANDMARKS.index("right_toe")] = False
+    poses = replace(poses, frames=poses.frames + 30, observed=observed)
+    person = Kinematics(poses, FPS, Method(contact=SETTINGS))
+    write_contacts_csv(tmp_path / "contacts.csv", [person])
+    head, *rows = (tmp_path / "contacts.csv").read_text().splitlines()
+    assert tuple(head.split(",")) == CONTACT_COLUMNS
+    assert len(rows) == 4 * T
+    assert [row.split(",")[3] for row in rows[:4]] == ["left_heel", "left_toe", "right_heel", "right_toe"]
+    told = np.array([float(row.split(",")[4]) for row in rows]).reshape(T, 4)
+    np.testing.assert_allclose(told, person.gait.contacts.probability, atol=1e-4)
+    assert [row for row in rows if row.endswith(",0")] == [rows[4 * 3 + 3]]
+    assert rows[0].split(",")[:3] == ["30", "1.000000", "1"]
+    write_steps_csv(tmp_path / "steps.csv", [person])
+    head, *rows = (tmp_path / "steps.csv").read_text().splitlines()
+    assert tuple(head.split(",")) == STEP_COLUMNS
+    assert len(rows) == len(person.gait.stances)
+    strikes = [row.split(",")[2] for row in rows]
+    assert strikes == [str(s.strike + 30) if s.strike is not None else "" for s in person.gait.stances]
+    write_contacts_csv(tmp_path / "contacts.csv", [])
+    assert (tmp_path / "contacts.csv").read_text() == ",".join(CONTACT_COLUMNS) + "\n"
 
 
 def test_jumps_and_squats_are_a_table(tmp_path: FilePath) -> None:

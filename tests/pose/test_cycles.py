@@ -115,3 +115,19 @@ def test_charts_count_percent_and_do_not_follow_the_replay() -> None:
     assert ">100 %<" in page
     assert "cursor" not in page
     assert "data-first" not in page
+
+
+@pytest.mark.parametrize("ahead_deg", [0.0, 90.0, 170.0, -135.0])
+def test_the_turn_of_the_pelvis_counts_from_the_way_that_it_goes(ahead_deg: float) -> None:
+    """Passes to and fro have headings of 0 and 180 degrees, whose mean says nothing."""
+    ahead, frame = np.deg2rad(ahead_deg), np.arange(140)
+    turning = 0.1 * np.sin(2 * np.pi * (frame - 5) / STRIDE)
+    heading = np.arctan2(np.sin(ahead + turning), np.cos(ahead + turning))
+    series = AngleSeries(1, ("pelvis_rotation",), frame, frame / 30.0, heading[:, None])
+    way = 0.04 * frame[:, None] * np.array([np.cos(ahead), np.sin(ahead)])
+    left, _ = cycles_of(gait(), series, way)
+    assert left.mean("pelvis_rotation")[0] == pytest.approx(
+        0.1 * np.sin(2 * np.pi * PERCENT / 100), abs=0.002
+    )
+    on_the_spot, _ = cycles_of(gait(), series, 0.0 * way)
+    assert on_the_spot.mean("pelvis_rotation")[0].mean() == pytest.approx(0.0, abs=1e-9)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +13,14 @@ from mocap.io.formats._writing import write_bytes
 Array = NDArray[np.float64]
 
 
-def write_mot(path: Path, time_s: Array, coordinates: Mapping[str, Array]) -> None:
+def write_mot(
+    path: Path, time_s: Array, coordinates: Mapping[str, Array], unseen: Sequence[str] = ()
+) -> None:
     """Write generalised coordinates, one row per frame, in degrees and metres.
 
     time_s : (T,).  coordinates : name -> (T,), angles in degrees, translations in metres. OpenSim reads no gaps: NaN
-    is a ValueError. Raises MocapError when the file cannot be written.
+    is a ValueError.  unseen : coordinates that nothing shows; the head names them as `not_observed`.
+    Raises MocapError when the file cannot be written.
     """
     for name, values in coordinates.items():
         if not np.isfinite(values).all():
@@ -29,6 +32,7 @@ def write_mot(path: Path, time_s: Array, coordinates: Mapping[str, Array]) -> No
         f"nRows={len(time_s)}",
         f"nColumns={1 + len(coordinates)}",
         "inDegrees=yes",
+        *([f"not_observed={' '.join(unseen)}"] if unseen else []),
         "endheader",
         "\t".join(["time", *coordinates]),
     ]
