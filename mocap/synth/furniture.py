@@ -1,4 +1,4 @@
-"""Furniture of a scene: boxes, tables and chairs, all made of boxes."""
+"""Furniture of a scene: boxes, tables, chairs and stairs, all made of boxes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
+from mocap.synth.motions.stairs import FIRST_EDGE_M
 from mocap.synth.rooms import box_corners
 from mocap.synth.section import Section
 
@@ -102,6 +103,37 @@ class Chair(Section):
         return (0.45, 0.7, 1.3)
 
 
+class Stairs(Section):
+    """A solid flight of stairs with a landing, for the motion `stairs` with the same place, heading and measures."""
+
+    kind: Literal["stairs"]
+    position_m: tuple[float, float]
+    """Where a person stands before the flight."""
+    heading_deg: float = 0.0
+    """Up the flight."""
+    n_stairs: int = Field(3, ge=1, le=5)
+    rise_m: float = Field(0.16, ge=0.08, le=0.22)
+    going_m: float = Field(0.30, ge=0.26, le=0.45)
+    width_m: float = Field(0.9, ge=0.5, le=2.0)
+    landing_m: float = Field(0.6, ge=0.3, le=1.5)
+    """Depth of the uppermost stair."""
+
+    def boxes(self) -> Array:
+        """Corners (B, 8, 3) m."""
+        end = FIRST_EDGE_M + (self.n_stairs - 1) * self.going_m + self.landing_m
+        pieces: list[Piece] = []
+        for k in range(self.n_stairs):
+            edge = FIRST_EDGE_M + k * self.going_m
+            low, high = k * self.rise_m, (k + 1) * self.rise_m
+            pieces.append((edge, -0.5 * self.width_m, low, end, 0.5 * self.width_m, high))
+        return _placed(pieces, self.position_m, self.heading_deg)
+
+    @property
+    def tint(self) -> Vector:
+        """Factor on the colour of the room's furniture."""
+        return (0.9, 0.9, 0.95)
+
+
 def _legs(at: Array, width: float, top: float) -> list[Piece]:
     """Four legs whose inner corners are at (+-at[0], +-at[1]), from the floor to `top`."""
     out: list[Piece] = []
@@ -125,13 +157,13 @@ def _box_by_default(value: Any) -> Any:
 
 
 Furniture: TypeAlias = Annotated[
-    Annotated[Box | Table | Chair, Field(discriminator="kind")], BeforeValidator(_box_by_default)
+    Annotated[Box | Table | Chair | Stairs, Field(discriminator="kind")], BeforeValidator(_box_by_default)
 ]
 
 KINDS = ("box", "table", "chair")
 
 
-def furniture_boxes(pieces: tuple[Box | Table | Chair, ...]) -> tuple[Array, Array]:
+def furniture_boxes(pieces: tuple[Box | Table | Chair | Stairs, ...]) -> tuple[Array, Array]:
     """Corners (B, 8, 3) m of all boxes of all pieces, and the tint (B, 3) of each box."""
     boxes = [piece.boxes() for piece in pieces]
     tints = [np.tile(piece.tint, (len(b), 1)) for piece, b in zip(pieces, boxes, strict=True)]

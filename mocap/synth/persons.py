@@ -99,6 +99,26 @@ class SitMotion(Section):
         }
 
 
+class StairsMotion(Section):
+    """Climbing a flight of stairs; `stairs` among the furniture, at the same place and heading, make it visible."""
+
+    kind: Literal["stairs"]
+    position_m: tuple[float, float] = (0.0, 0.0)
+    """Where the person stands before the flight."""
+    heading_deg: float = 0.0
+    n_stairs: int = Field(3, ge=1, le=5)
+    rise_m: float = Field(0.16, ge=0.08, le=0.22)
+    going_m: float = Field(0.30, ge=0.26, le=0.45)
+
+    def arguments(self) -> dict[str, Any]:
+        """Keywords of the motion's function."""
+        return {
+            "position": self.position_m,
+            "heading_rad": math.radians(self.heading_deg),
+            **{name: getattr(self, name) for name in ("n_stairs", "rise_m", "going_m")},
+        }
+
+
 class FallMotion(Section):
     """A few steps, a fall to the floor, lying to the end."""
 
@@ -199,7 +219,15 @@ class CaptureMotion(Section):
 
 
 AnyMotion = (
-    WalkMotion | JogMotion | PlaceMotion | ThrowMotion | SitMotion | FallMotion | RouteMotion | CaptureMotion
+    WalkMotion
+    | JogMotion
+    | PlaceMotion
+    | ThrowMotion
+    | SitMotion
+    | StairsMotion
+    | FallMotion
+    | RouteMotion
+    | CaptureMotion
 )
 MOTION_KINDS = tuple(k for m in get_args(AnyMotion) for k in get_args(m.model_fields["kind"].annotation))
 

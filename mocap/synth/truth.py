@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import Camera, Motion, Tracks, VoxelGrid
+from mocap.data import FURTHER_LANDMARKS, Camera, Motion, Tracks, VoxelGrid
 from mocap.io.tables import (
     FEET_AND_HANDS,
     FeetAndHands,
@@ -28,7 +28,10 @@ Array = NDArray[np.float64]
 
 TRUTH_VOXEL_M = 0.02
 CONTACT_SPEED_M_S = 0.35  # a point rests on the floor while it is slower
-CONTACT_HEIGHT_M = 0.025  # and lower than this
+CONTACT_HEIGHT_M = 0.025  # and lower than this above what the foot stands on
+_SOLES = [
+    FURTHER_LANDMARKS.index(f"{side}_{point}") for side in ("left", "right") for point in ("heel", "toe")
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +85,10 @@ def feet_and_hands(actor: Actor, frames: NDArray[np.int64], fps: float) -> FeetA
     xyz = feet_and_hands_of(actor.body.figure, actor.position, actor.rotation)
     steps_m = np.gradient(xyz, axis=0) if len(xyz) > 1 else np.zeros_like(xyz)
     speed_m_s = np.linalg.norm(steps_m, axis=2) * fps
-    rests = (speed_m_s < CONTACT_SPEED_M_S) & (xyz[..., 2] < CONTACT_HEIGHT_M)
+    over_m = xyz[..., 2].copy()
+    if actor.pose.ground_m is not None:
+        over_m[:, _SOLES] -= np.repeat(actor.pose.ground_m, 2, axis=1)
+    rests = (speed_m_s < CONTACT_SPEED_M_S) & (over_m < CONTACT_HEIGHT_M)
     rows = actor.lead + frames
     return FeetAndHands(actor.person, frames, xyz[rows], rests[rows])
 

@@ -11,6 +11,7 @@ from mocap.errors import MocapError
 from mocap.io.formats.table import PoseFile, PoseTable
 from mocap.io.tables import FeetAndHands, read_feet_and_hands_csv, write_feet_and_hands_csv
 from mocap.synth.figure import feet_and_hands_of, forward_kinematics, make_figure
+from mocap.synth.furniture import Stairs
 from mocap.synth.motions import MOTIONS, Path
 from mocap.synth.truth import CONTACT_HEIGHT_M, CONTACT_SPEED_M_S
 
@@ -80,6 +81,35 @@ def test_toes_stay_where_they_are_while_the_heels_rise(seed: int) -> None:
     pelvis = where[0][:, 0, 2]
     assert pelvis.min() < 0.8 * pelvis[0]
     assert pelvis.max() > pelvis[0] + 0.02
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_feet_on_stairs_rest_on_them_and_do_not_go_through(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    figure = make_figure(rng.uniform(1.5, 1.9), "male" if seed % 2 else "female", 1.0, rng=rng)
+    pose = MOTIONS["stairs"](figure, T, FPS, rng=rng, position=(0.0, 0.0), heading_rad=0.0)
+    where = forward_kinematics(figure.offsets, pose.rotations, pose.root_position)
+    xyz = feet_and_hands_of(figure, *where)[:, FLOOR]  # left heel, left toe, right heel, right toe
+    assert pose.ground_m is not None
+    speed = np.linalg.norm(np.gradient(xyz, axis=0), axis=2) * FPS
+    rests = (speed < CONTACT_SPEED_M_S) & (
+        xyz[..., 2] - np.repeat(pose.ground_m, 2, axis=1) < CONTACT_HEIGHT_M
+    )
+    for k in range(4):
+        flat = pose.contact[:, k // 2]
+        assert rests[flat, k].mean() > 0.95  # all but the frames in which it lands
+        for run in np.split(np.arange(T), np.flatnonzero(np.diff(flat.astype(int))) + 1):
+            if flat[run[0]]:
+                assert np.linalg.norm(xyz[run, k] - xyz[run[0], k], axis=1).max() < MOST_SLIP_M
+    stairs = Stairs(kind="stairs", position_m=(0.0, 0.0))
+    for corners in stairs.boxes():
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        inside = ((xyz > low + 0.01) & (xyz < high - 0.01)).all(axis=2)
+        assert not inside.any()
+    heights = {round(float(h), 2) for h in np.unique(pose.ground_m[rests[:, ::2]])}
+    assert {0.0, 0.48} <= heights
+    assert len(heights) >= 3
+    assert pose.root_position[-1, 2] - pose.root_position[0, 2] == pytest.approx(0.48, abs=0.01)
 
 
 def person(n_frames: int = 4) -> FeetAndHands:

@@ -20,6 +20,7 @@ from mocap.synth.motions.pick_up import pick_up
 from mocap.synth.motions.route import Stop, route
 from mocap.synth.motions.sit import sit
 from mocap.synth.motions.squat import squat
+from mocap.synth.motions.stairs import stairs
 from mocap.synth.motions.stand import stand
 from mocap.synth.motions.throw import throw
 from mocap.synth.motions.walk import walk
@@ -37,6 +38,7 @@ MOTIONS: dict[str, Callable[..., Pose]] = {
     "throw": throw,
     "dance": dance,
     "sit": sit,
+    "stairs": stairs,
     "fall": fall,
     "capture": capture,
 }

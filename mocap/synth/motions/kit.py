@@ -27,11 +27,13 @@ class Pose:
 
     root_position : (T, 3) m, world.  rotations : (T, J, 3, 3) local.
     contact : (T, 2) bool, left and right foot flat on the floor and bearing weight.
+    ground_m : (T, 2), height of what each foot stands on or comes to; None = the floor.
     """
 
     root_position: Array
     rotations: Array
     contact: NDArray[np.bool_]
+    ground_m: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ the spot, dancing. The pelvis rides over the loaded foot, as high as the legs al
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +39,14 @@ class Plant:
     """One foot on the floor from heel contact to toe-off.
 
     at : ankle (x, y) m, world.  yaw_rad : direction of the toes, continuous from plant to plant.
+    height_m : of what it stands on.
     """
 
     start_s: float
     end_s: float
     at: tuple[float, float]
     yaw_rad: float
+    height_m: float = 0.0
 
 
 class Footsteps:
@@ -69,13 +71,21 @@ class Footsteps:
         )
         return at, heading_rad + sign * float(TOE_OUT_RAD)
 
-    def step(self, side: int, lift_s: float, land_s: float, at: tuple[float, float], yaw_rad: float) -> None:
+    def step(
+        self,
+        side: int,
+        lift_s: float,
+        land_s: float,
+        at: tuple[float, float],
+        yaw_rad: float,
+        height_m: float = 0.0,
+    ) -> None:
         """Lift one foot and plant it elsewhere. Raises ValueError when it lifts before it has landed."""
         old = self.plants[side][-1]
         if not old.start_s < lift_s < land_s:
             raise ValueError(f"a step must lift after landing, got {old.start_s}, {lift_s}, {land_s}")
-        self.plants[side][-1] = Plant(old.start_s, lift_s, old.at, old.yaw_rad)
-        self.plants[side].append(Plant(land_s, np.inf, at, yaw_rad))
+        self.plants[side][-1] = replace(old, end_s=lift_s)
+        self.plants[side].append(Plant(land_s, np.inf, at, yaw_rad, height_m))
 
     def stand(
         self, side: int, lift_s: float, land_s: float, center: tuple[float, float], heading_rad: float
@@ -113,6 +123,7 @@ class Gait:
     pelvis_yaw, roll, tilt : (T,) rad of the pelvis against the heading.  stride : (T,) m, left ankle before right.
     speed : (T,) m/s of the pelvis along the floor.  load : (T, 2) share of the weight on each foot.
     ankles, feet, toes : per side (T, 3) m, (T, 3, 3), (T,) rad.  contact : (T, 2) bool.
+    ground : (T, 2) m, height of what each foot stands on or comes to.
     """
 
     figure: Figure
@@ -130,6 +141,7 @@ class Gait:
     feet: list[Array]
     toes: list[Array]
     contact: NDArray[np.bool_]
+    ground: Array
 
     @property
     def pelvis(self) -> Array:
@@ -155,7 +167,7 @@ class Gait:
         """Set the pelvis, solve the legs and cut out the wanted frames."""
         rotations[:, 0] = self.pelvis
         solve_legs(self.figure, rotations, self.root, self.ankles, self.feet, self.toes)
-        return Pose(self.root[keep], rotations[keep], self.contact[keep])
+        return Pose(self.root[keep], rotations[keep], self.contact[keep], self.ground[keep])
 
 
 def timeline(n_frames: int, fps: float) -> tuple[Array, slice]:
@@ -214,6 +226,7 @@ def follow_feet(
         feet=feet,
         toes=toes,
         contact=np.stack(contact, axis=1),
+        ground=np.stack([_height_at(plants, t) for plants in plan.plants], axis=1),
     )
     gait.ride(0.003 * figure.stature_m)
     return gait
@@ -274,6 +287,12 @@ def _standing_at(plants: list[Plant], t: Array) -> Array:
     at = np.array([p.at for p in plants])
     ends = np.array([p.end_s for p in plants[:-1]])
     return at[np.searchsorted(ends, t, side="right")]
+
+
+def _height_at(plants: list[Plant], t: Array) -> Array:
+    """Height (T,) m of what the foot stands on; in the swing of what it comes to."""
+    ends = np.array([p.end_s for p in plants[:-1]])
+    return np.array([p.height_m for p in plants])[np.searchsorted(ends, t, side="right")]
 
 
 def _loads(plan: Footsteps, t: Array) -> Array:
@@ -359,8 +378,9 @@ def _foot(
     yaw = np.zeros(len(t))
     flat = np.zeros(len(t), dtype=bool)
     fade = np.ones(len(t))
+    droop = np.zeros(len(t))  # of the toes of a foot that is lifted high
     if not knots:
-        ankle[:] = (*plants[0].at, ankle_h)
+        ankle[:] = (*plants[0].at, ankle_h + plants[0].height_m)
         yaw[:] = plants[0].yaw_rad
         turn = rotation_about(2, yaw)
         return ankle, turn, np.zeros(len(t)), np.ones(len(t), dtype=bool), yaw
@@ -377,7 +397,7 @@ def _foot(
         pitch = pitch_at(time)
         pivot = np.where((pitch < 0)[:, None], heel, ball)
         rolled = np.einsum("nab,nb->na", rotation_about(1, pitch), -pivot)
-        return np.array([*p.at, ankle_h]) + (rolled + pivot) @ rotation_about(2, p.yaw_rad).T
+        return np.array([*p.at, ankle_h + p.height_m]) + (rolled + pivot) @ rotation_about(2, p.yaw_rad).T
 
     for i, p in enumerate(plants):
         mine = (t >= p.start_s) & (t <= p.end_s)
@@ -399,6 +419,7 @@ def _foot(
         arrive = 0.15 * flat_move * inward[i] + np.array([0.0, 0.0, -0.05 * min(size[i], 1.0)])
         middle = 0.5 * (lift[1] + land[0])
         middle[2] = ankle_h + (0.016 + 0.024 * min(size[i], 1.0)) * H
+        middle[2] += max(p.height_m, plants[i + 1].height_m)
         slope = 1.25 * (land[0] - lift[1])
         slope[2] = -0.12 * H * onward[i]
         u = (t[fly] - p.end_s) / s
@@ -406,13 +427,19 @@ def _foot(
         at[:, 2] += (
             0.010 * H * onward[i] * np.sin(np.pi * np.minimum(u / 0.4, 1.0)) ** 2
         )  # toes clear the floor
+        if plants[i + 1].height_m > p.height_m:  # first up, past the edge of the stair, then ahead
+            over = ankle_h + plants[i + 1].height_m
+            knots_z = [lift[1][2], over + 0.038 * H, over + 0.034 * H, land[0][2]]
+            at[:, 2] = PchipInterpolator([0.0, 0.45, 0.7, 1.0], knots_z)(u)
+            droop[fly] = np.deg2rad(11.0) * np.sin(np.pi * u) ** 2
+            at[:, :2] = lift[1][:2] + (u**2 * (3 - 2 * u))[:, None] ** 1.25 * (land[0] - lift[1])[:2]
         ankle[fly] = at
         yaw[fly] = p.yaw_rad + u * u * (3 - 2 * u) * (plants[i + 1].yaw_rad - p.yaw_rad)
         fade[fly] = 1 - np.clip(u / 0.32, 0, 1)
     pitch = pitch_at(t)
     return (
         ankle,
-        rotation_about(2, yaw) @ rotation_about(1, pitch),
+        rotation_about(2, yaw) @ rotation_about(1, pitch + droop),
         -np.maximum(pitch, 0) * fade,
         flat,
         yaw,
