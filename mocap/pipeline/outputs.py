@@ -61,6 +61,7 @@ CYCLE_COLUMNS = (
         "mean_deg",
         "std_deg",
         "measured_std_deg",
+        "observed_percent",
     ),
 )
 MOVE_COLUMNS = (
@@ -146,12 +147,12 @@ def write_cycles_csv(path: Path, people: Sequence[Kinematics]) -> None:
     lines = [",".join(CYCLE_COLUMNS)]
     for person in people:
         for cycles in person.cycles:
-            for name in cycles.names:
+            for name, seen in zip(cycles.names, cycles.observed.tolist(), strict=True):
                 begin = f"{person.poses.person},{cycles.side},{len(cycles)},{cycles.off_percent.mean():.1f},{name}"
                 columns = np.rad2deg(np.stack(cycles.mean(name), axis=1))
                 for percent, numbers in zip(PERCENT.tolist(), columns.tolist(), strict=True):
                     cells = ["" if math.isnan(v) else f"{v:.2f}" for v in numbers]
-                    lines.append(",".join([begin, f"{percent:.0f}", *cells]))
+                    lines.append(",".join([begin, f"{percent:.0f}", *cells, f"{100 * seen:.0f}"]))
     atomic_text(path, "\n".join(lines) + "\n")
 
 

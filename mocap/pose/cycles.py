@@ -26,6 +26,7 @@ class GaitCycles:
 
     names : of the angles of this side and of the middle.  rows : (N, 2) of both strikes.  off_percent : (N,) when the
     toe leaves the floor.  values : (N, A, 101) rad.  std : (N, A, 101) rad, of each value, NaN = unknown.
+    observed : (A,) in which share of the frames of all cycles the angle was observed.
     """
 
     side: str
@@ -34,6 +35,7 @@ class GaitCycles:
     off_percent: Array
     values: Array
     std: Array
+    observed: Array
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -76,6 +78,10 @@ def _cycles(side: str, gait: Gait, angles: AngleSeries, pelvis: Array | None) ->
     columns = [angles.names.index(name) for name in names]
     values = np.unwrap(angles.values[:, columns], axis=0)
     std = np.full(values.shape, np.nan) if angles.std is None else angles.std[:, columns]
+    seen = np.ones(values.shape, dtype=bool) if angles.observed is None else angles.observed[:, columns]
+    inside = (
+        np.unique(np.concatenate([np.arange(a, b) for a, b in rows])) if rows else np.zeros(0, dtype=np.int64)
+    )
     resampled = _resampled(values, rows)
     if pelvis is not None and "pelvis_rotation" in names:
         heading = resampled[:, names.index("pelvis_rotation")]
@@ -91,6 +97,7 @@ def _cycles(side: str, gait: Gait, angles: AngleSeries, pelvis: Array | None) ->
         np.array(offs, dtype=np.float64),
         resampled,
         _resampled(std, rows),
+        seen[inside].mean(axis=0) if rows else np.zeros(len(names)),
     )
 
 

@@ -1,5 +1,6 @@
 """Gait cycles: which strides make one, and angles on the scale of percent."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -99,9 +100,19 @@ def test_the_table_has_a_row_per_percent(tmp_path: Path) -> None:
     head, *rows = path.read_text().splitlines()
     assert tuple(head.split(",")) == CYCLE_COLUMNS
     assert len(rows) == 4 * len(PERCENT)  # a cycle of each foot, each with its knee and the pelvis
-    assert rows[25] == "1,left,1,60.0,left_knee_flexion,25,56.98,,1.15"
+    assert rows[25] == "1,left,1,60.0,left_knee_flexion,25,56.98,,1.15,100"
     write_cycles_csv(path, [walker(Gait(1, None))])
     assert path.read_text() == ",".join(CYCLE_COLUMNS) + "\n"
+
+
+def test_cycles_say_how_much_of_them_was_observed() -> None:
+    series = angles()
+    observed = np.ones(series.values.shape, dtype=bool)
+    observed[:, 2] = False
+    observed[20:50, 0] = False  # of the left foot's cycles, frames 5 to 94
+    left, right = cycles_of(gait(), replace(series, observed=observed))
+    assert left.observed == pytest.approx([1.0 - 30 / 90, 0.0])
+    assert right.observed == pytest.approx([1.0, 0.0])
 
 
 def test_charts_count_percent_and_do_not_follow_the_replay() -> None:
