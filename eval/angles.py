@@ -7,8 +7,8 @@ the angles of its poses with the true orientations of the segments (truth/pose_N
 eval/results/angles.csv and the table of docs/angles.md: one row per scene, seed and angle. With --fit it prints the
 constants `ANGLE_UNCERTAINTY` of mocap/pose/method.py, from development scenes alone.
 
-`dev:steps` is a realistic development session. Its truth tells how segments have turned since a rest pose in which arms
-are neither hanging nor straight out: angles of trunk and legs but for a constant, and none of arms.
+`dev:steps` and `dev:furnished` are realistic development sessions. Their truth tells how segments have turned since a
+rest pose in which arms are neither hanging nor straight out: angles of trunk and legs but for a constant, none of arms.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from mocap.products.poses import stored_poses
 RESULTS = ROOT / "eval" / "results" / "angles.csv"
 PAGE, BEGIN, END = ROOT / "docs" / "angles.md", "<!-- table -->", "<!-- end of table -->"
 DEVELOPMENT = ("walk", "gesture", "jog", "squat", "jump")
-REALISTIC = ("dev:steps",)
+REALISTIC = ("dev:steps", "dev:furnished")
 TEST = ("walk_test", "gesture_test", "jog_test", "squat_test", "jump_test")
 FIELDS = ("set", "session", "seed", "person", *(field.name for field in fields(AngleError)))
 _LOOKS_ALONG_MINUS_Y = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
