@@ -12,6 +12,9 @@ from small_session import PLAIN, mocap, set_options, small_session
 
 from mocap.data import VoxelGrid
 from mocap.io.store import StageStore
+from mocap.pipeline.config import load_config
+from mocap.pipeline.export import _about
+from mocap.pose.method import Method
 
 GRID = VoxelGrid(np.array([-0.5, 0.0, 0.0]), (5, 6, 8), 0.1)
 FRAMES = (7, 8, 10)
@@ -124,3 +127,15 @@ def test_motion_of_a_run_is_what_the_run_wrote(
         assert said.code == 0, said.err
         (written,) = (tmp_path / "x").glob(f"*.{format}")
         assert written.read_bytes() == (out / written.name).read_bytes()
+
+
+def test_a_motion_is_exported_with_the_settings_of_its_run(tmp_path: Path) -> None:
+    about = {"fps": 25.0, "session": "here"}
+    config = load_config("default", ("method.contact.low_quantile=0.3", "method.angles.spine_std_deg=5.0"))
+    write = (tmp_path / "run.json").write_text
+    write(json.dumps({**about, "config": config.model_dump(mode="json")}))
+    fps, session, method = _about(tmp_path)
+    assert (fps, session) == (25.0, "here")
+    assert (method.contact.low_quantile, method.angles.spine_std_deg) == (0.3, 5.0)
+    write(json.dumps({**about, "config": {"of": "another version"}}))
+    assert _about(tmp_path)[2] == Method()
