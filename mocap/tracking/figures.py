@@ -67,7 +67,7 @@ class View2D:
     confidence: Array
 
 
-@dataclass
+@dataclass(eq=False)
 class FigurePerson:
     """A person made of figures.  views : frame -> (C,) index of the frame's figure in each view, -1 = none.  points :
     frame -> (K, 3) m, NaN where views do not agree."""

@@ -74,6 +74,16 @@ def test_half_of_the_figures_missing_is_no_new_person() -> None:
     assert len(persons[0].frames) > 20
 
 
+def test_two_persons_who_leave_together_are_still_two() -> None:
+    """As many frames of both, and then nobody for longer than a person may be lost."""
+    world = keypoint_world(20, noise_px=1.0, apart_m=1.1)
+    _, figures, _ = found_in(world)
+    figures |= {f: [] for f in range(20, 80)}
+    views = marker_views(world.rig)
+    persons = persons_of_figures(figures, FigureViews(views.P, views.focal), FPS, FigureSettings())
+    assert [(p.number, p.frames[-1]) for p in persons] == [(1, 19), (2, 19)]
+
+
 def test_one_camera_makes_nobody() -> None:
     persons, _, _ = found_in(keypoint_world(12), cameras=(1,))
     assert persons == []
