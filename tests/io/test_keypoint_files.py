@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 
+import cv2
 import numpy as np
 import pytest
 from keypoint_world import keypoint_world, write_keypoint_session
@@ -14,6 +17,7 @@ from keypoint_world import keypoint_world, write_keypoint_session
 from mocap.data import CameraRig
 from mocap.data.keypoints import KEYPOINTS, MIRRORED
 from mocap.errors import MocapError
+from mocap.io.calibration import write_calibration
 from mocap.io.keypoints import count_frames, read_keypoints, write_keypoints_csv
 from mocap.io.keypoints.names import ORDERS, keypoint_row, rows_of_order
 from mocap.io.session import check_session, open_session
@@ -113,6 +117,49 @@ def test_every_format_gives_the_same_figures(name: str, tmp_path: Path, rig: Cam
             assert figure.confidence[0, row] == c
         assert np.isnan(figure.uv[0, KEYPOINTS.index("left_wrist")]).all()
     assert count_frames(path) == 3
+
+
+# Where some points stand, as the tools' own lists have them.
+PLACES: dict[int, dict[str, int]] = {
+    17: {"nose": 0, "left_eye": 1, "right_ear": 4, "left_shoulder": 5, "left_wrist": 9, "right_hip": 12},
+    18: {"nose": 0, "neck": 1, "right_shoulder": 2, "left_wrist": 7, "right_hip": 8, "left_ankle": 13, "left_eye": 15},
+    25: {"neck": 1, "right_wrist": 4, "pelvis": 8, "right_hip": 9, "left_knee": 13, "left_toe": 19, "right_heel": 24},
+    26: {"right_ankle": 16, "head": 17, "neck": 18, "pelvis": 19, "left_toe": 20, "right_toe": 21, "left_heel": 24},
+    33: {"left_eye": 2, "right_ear": 8, "left_shoulder": 11, "right_wrist": 16, "left_hand": 19, "left_hip": 23,
+         "right_ankle": 28, "left_heel": 29, "right_toe": 32},
+    133: {"right_ankle": 16, "left_toe": 17, "left_heel": 19, "right_toe": 20, "right_heel": 22},
+    136: {"right_ankle": 16, "head": 17, "left_toe": 20, "right_toe": 21, "right_heel": 25},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("n_points", PLACES)
+def test_points_stand_where_the_tools_list_them(n_points: int) -> None:
+    assert set(PLACES) == set(ORDERS)
+    rows = rows_of_order(n_points)
+    assert rows is not None
+    for name, place in PLACES[n_points].items():
+        assert rows[place] == KEYPOINTS.index(name)
+    known = [row for row in rows if row is not None]
+    assert len(set(known)) == len(known)
+
+
+def test_rows_of_one_frame_are_several_persons_of_sleap(tmp_path: Path, rig: CameraRig) -> None:
+    path = _sleap(tmp_path)
+    second = path.read_text().splitlines()[1].replace("10.5", "50.5")
+    path.write_text(path.read_text() + second + "\n")
+    found = read_keypoints({rig.names[0]: path}, rig, range(1))
+    assert sorted(found[0].uv[:, NOSE, 0]) == [10.5, 50.5]
+
+
+def test_nobody_of_pose2sim_is_nobody(tmp_path: Path, rig: CameraRig) -> None:
+    """Its associated files keep the place of a person whom a camera does not show."""
+    folder = FORMATS["Pose2Sim"](tmp_path)
+    for path in folder.iterdir():
+        document = json.loads(path.read_text())
+        document["people"].insert(0, {})
+        path.write_text(json.dumps(document))
+    found = read_keypoints({rig.names[0]: folder}, rig, range(3))
+    assert [len(found[f]) for f in range(3)] == [1, 0, 1]
 
 
 @pytest.mark.parametrize(
@@ -215,19 +262,82 @@ def test_a_session_of_keypoints_alone_is_opened_and_checked(tmp_path: Path) -> N
     assert "1.0 persons per picture, at most 1" in found.message
 
 
-def test_folders_of_pose2sim_are_found(tmp_path: Path) -> None:
-    root = write_keypoint_session(keypoint_world(12), tmp_path / "session")
-    pose = root / "pose"
+def pose2sim_project(folder: Path, *, call: str = "{}") -> Path:
+    """A session of keypoints as Pose2Sim keeps them.  call : what folders call a camera."""
+    root = write_keypoint_session(keypoint_world(12), folder / "session")
     for i, path in enumerate(sorted((root / "keypoints").iterdir())):
-        folder = pose / f"{path.stem}_json"
-        folder.mkdir(parents=True)
-        (folder / f"{path.stem}_000000.json").write_text(
+        own = root / "pose" / f"{call.format(path.stem)}_json"
+        own.mkdir(parents=True)
+        (own / f"{path.stem}_000000.json").write_text(
             json.dumps({"people": [{"pose_keypoints_2d": _triples(26, i)}]})
         )
         path.unlink()
     (root / "keypoints").rmdir()
-    session = open_session(root)
+    return root
+
+
+def test_folders_of_pose2sim_are_found(tmp_path: Path) -> None:
+    session = open_session(pose2sim_project(tmp_path))
     assert [p.name for p in session.keypoint_sources.values()] == [f"{n}_json" for n in session.rig.names]
+
+
+def test_cameras_called_as_pose2sims_pictures_of_a_board_are_known(tmp_path: Path) -> None:
+    """Its calibration has int_cam01_img for what its other folders call cam01."""
+    root = pose2sim_project(tmp_path)
+    rig = keypoint_world(12).rig
+    called = CameraRig(tuple(replace(c, name=f"int_{c.name}_img") for c in rig))
+    write_calibration(root / "calibration.toml", called)
+    session = open_session(root)
+    assert {n: p.name for n, p in session.keypoint_sources.items()} == {
+        f"int_{n}_img": f"{n}_json" for n in rig.names
+    }
+
+
+def test_what_pose2sim_has_synchronised_is_read_where_there_are_no_pictures(tmp_path: Path) -> None:
+    root = pose2sim_project(tmp_path)
+    copytree(root / "pose", root / "pose-sync")
+    session = open_session(root)
+    assert {p.parent.name for p in session.keypoint_sources.values()} == {"pose-sync"}
+    assert session.warnings == ()
+    for camera in keypoint_world(12).rig:
+        (root / "masks" / camera.name).mkdir(parents=True)
+        picture = np.zeros((camera.size[1], camera.size[0]), dtype=np.uint8)
+        cv2.imwrite(str(root / "masks" / camera.name / "0.png"), picture)
+    session = open_session(root)
+    assert {p.parent.name for p in session.keypoint_sources.values()} == {"pose"}
+    assert any("pose-sync/ is not read" in warning for warning in session.warnings)
+
+
+def test_what_the_remedy_says_of_names_opens_the_session(tmp_path: Path) -> None:
+    root = pose2sim_project(tmp_path, call="view of {}")
+    with pytest.raises(MocapError, match="does not know") as caught:
+        open_session(root)
+    assert '[camera_map] "view of cam_0" = "CAMERA NAME"' in (caught.value.remedy or "")
+    names = keypoint_world(12).rig.names
+    lines = [f'"view of {n}" = "{n}"' for n in names]
+    with (root / "session.toml").open("a") as file:
+        file.write("\n".join(["[camera_map]", *lines]) + "\n")
+    assert list(open_session(root).keypoint_sources) == list(names)
+
+
+def test_tables_called_as_deeplabcut_calls_them_are_known(tmp_path: Path) -> None:
+    root = write_keypoint_session(keypoint_world(12), tmp_path / "session")
+    for path in sorted((root / "keypoints").iterdir()):
+        path.rename(path.with_stem(f"{path.stem}DLC_resnet50_gaitMay1shuffle1_50000"))
+    session = open_session(root)
+    assert list(session.keypoint_sources) == list(session.rig.names)
+
+
+@pytest.mark.parametrize("name", ["cam_0DLC_resnet50_gaitMay1shuffle1_50000.h5", "cam_0.slp"])
+def test_files_that_tools_keep_for_themselves_are_named(name: str, tmp_path: Path) -> None:
+    root = write_keypoint_session(keypoint_world(12), tmp_path / "session")
+    for path in (root / "keypoints").iterdir():
+        path.unlink()
+    (root / "keypoints" / name).write_bytes(b"\x89HDF")
+    with pytest.raises(MocapError, match="of which none is read") as caught:
+        open_session(root)
+    assert name in caught.value.message
+    assert "export CSV" in (caught.value.remedy or "")
 
 
 def test_a_camera_that_is_not_calibrated_is_named(tmp_path: Path) -> None:

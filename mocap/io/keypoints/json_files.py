@@ -44,6 +44,8 @@ def read_openpose_folder(folder: Path) -> CameraKeypoints:
         if not isinstance(people, list):
             raise bad(path, 'it has no list "people"', frame)
         for person in people:
+            if person == {}:  # Pose2Sim's for somebody whom this camera does not show
+                continue
             values = person.get(_OPENPOSE) if isinstance(person, dict) else None
             if not isinstance(values, list):
                 raise bad(path, f'a person has no list "{_OPENPOSE}"', frame)

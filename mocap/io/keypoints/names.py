@@ -57,6 +57,16 @@ _OPENPOSE_HEAD = (
 )
 _OPENPOSE_LEGS = ("right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle")
 _OPENPOSE_FACE = ("right_eye", "left_eye", "right_ear", "left_ear")
+_HALPE = (
+    *_COCO,
+    *("head", "neck", "pelvis", "left_toe", "right_toe", "", "", "left_heel", "right_heel"),
+)
+_MEDIAPIPE = (
+    *("nose", "", "left_eye", "", "", "right_eye", "", "left_ear", "right_ear", "", ""),
+    *("left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist"),
+    *("", "", "left_hand", "right_hand", "", "", "left_hip", "right_hip", "left_knee", "right_knee"),
+    *("left_ankle", "right_ankle", "left_heel", "right_heel", "left_toe", "right_toe"),
+)
 # Number of points of one person -> name of the order, and its names; "" = a point without a place on the body here.
 ORDERS: dict[int, tuple[str, tuple[str, ...]]] = {
     17: ("COCO", _COCO),
@@ -71,15 +81,11 @@ ORDERS: dict[int, tuple[str, tuple[str, ...]]] = {
             *("left_toe", "", "left_heel", "right_toe", "", "right_heel"),
         ),
     ),
-    26: (
-        "Halpe26",
-        (
-            *_COCO,
-            *("head", "neck", "pelvis", "left_toe", "right_toe", "", "", "left_heel", "right_heel"),
-        ),
-    ),
+    26: ("Halpe26", _HALPE),
+    33: ("MediaPipe", _MEDIAPIPE),
     # The body and the feet; face and hands come after them.
     133: ("COCO-WholeBody", (*_COCO, "left_toe", "", "left_heel", "right_toe", "", "right_heel")),
+    136: ("Halpe136", _HALPE),
 }
 
 

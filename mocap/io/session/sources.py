@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +13,13 @@ from mocap.io.session.settings import SessionSettings, bad_key
 from mocap.io.video import list_chapters
 
 _BESIDE_PICTURES = ("masks", "background", "detections", "keypoints", "depth", "roi")
-# What Pose2Sim adds to a camera's name for the folder of its keypoints.
+# What Pose2Sim adds to a camera's name for the folder of its keypoints, and in its calibration.
 _POSE2SIM = "_json"
+_POSE2SIM_LENS = ("int_", "_img")
+# DeepLabCut puts its network behind the name of a video.
+_NETWORK = "DLC_"
+# Keypoints as tools keep them for themselves.
+_UNREAD = frozenset({".h5", ".hdf5", ".slp", ".npy", ".npz", ".pickle", ".pkl"})
 
 
 @dataclass(frozen=True)
@@ -73,12 +78,32 @@ def _name_and_rank(path: Path, kinds: frozenset[str], with_folders: bool) -> tup
     return path.stem, 2 if suffix in IMAGE_SUFFIXES else 0
 
 
-def keypoint_sources_in(root: Path) -> dict[str, Path]:
-    """Keypoints by camera name: files and folders of keypoints/, or else the folders CAM_json of Pose2Sim's pose/."""
+def keypoint_sources_in(root: Path, *, has_pictures: bool) -> dict[str, Path]:
+    """Keypoints by camera name: files and folders of keypoints/, or else the folders CAM_json of Pose2Sim's pose/.
+
+    has_pictures : without any, those of pose-sync/ come first, which Pose2Sim has put on one clock.
+    """
     found = sources_in(root / "keypoints", frozenset({".csv", ".json"}))
-    if not found:
-        found = {n: p for n, p in sources_in(root / "pose", frozenset()).items() if n.endswith(_POSE2SIM)}
+    if not found and not has_pictures:
+        found = _of_pose2sim(root / "pose-sync")
+    found = found or _of_pose2sim(root / "pose")
     return {name.removesuffix(_POSE2SIM): path for name, path in found.items()}
+
+
+def _of_pose2sim(folder: Path) -> dict[str, Path]:
+    return {n: p for n, p in sources_in(folder, frozenset()).items() if n.endswith(_POSE2SIM)}
+
+
+def _unread_keypoints(root: Path) -> str | None:
+    """What stands in keypoints/ in place of tables, as tools keep it for themselves; None = nothing of the kind."""
+    folder = root / "keypoints"
+    files = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in _UNREAD) if folder.is_dir() else []
+    if not files:
+        return None
+    return (
+        f"keypoints/ holds {listed(files, 3)}, of which none is read: export CSV (DeepLabCut: "
+        "analyze_videos_converth5_to_csv, SLEAP: the analysis CSV)"
+    )
 
 
 def match_sources(
@@ -94,10 +119,11 @@ def match_sources(
         "background": sources_in(root / "background", VIDEO_SUFFIXES | IMAGE_SUFFIXES),
         "masks": sources_in(root / "masks", VIDEO_SUFFIXES | IMAGE_SUFFIXES | {".npz"}),
         "detections": sources_in(root / "detections", frozenset({".csv"}), with_folders=False),
-        "keypoints": keypoint_sources_in(root),
         "depth": sources_in(root / "depth", frozenset()),
         "roi": sources_in(root / "roi", IMAGE_SUFFIXES, with_folders=False),
     }
+    has_pictures = bool(kinds["videos"] or kinds["images"] or kinds["masks"])
+    kinds["keypoints"] = keypoint_sources_in(root, has_pictures=has_pictures)
     camera_map = settings.camera_map or {}
     _check_camera_map(root, camera_map, rig, kinds)
     matched = {
@@ -105,6 +131,14 @@ def match_sources(
     }
     both = sorted(matched["videos"].keys() & matched["images"].keys(), key=natural_key)
     warnings = [f"videos/ and images/ both have camera {listed(both)}: the videos are used"] if both else []
+    unread = _unread_keypoints(root)
+    if unread is not None and not kinds["keypoints"]:
+        warnings.append(unread)
+    if any(p.parent.name == "pose" for p in kinds["keypoints"].values()) and _of_pose2sim(root / "pose-sync"):
+        warnings.append(
+            "pose-sync/ is not read: its frames are not those of the pictures. pose/ is read; `mocap sync` puts "
+            "pictures and keypoints on one clock"
+        )
     pictures = {**matched["images"], **matched["videos"]}
     kept = {kind: matched[kind] for kind in _BESIDE_PICTURES}
     return Sources(pictures, **kept), warnings
@@ -134,8 +168,10 @@ def _by_camera(
 ) -> dict[str, Path]:
     """The sources of one kind by calibrated camera."""
     named: dict[str, Path] = {}
+    called: dict[str, str] = {}
     for name, path in sources.items():
-        camera = camera_map.get(name, name)
+        camera = camera_map[name] if name in camera_map else _meant(name, rig.names)
+        called[camera] = name
         if camera in named:
             raise bad_key(
                 root / "session.toml", "camera_map", f"gives camera {camera!r} two sources in {kind}/"
@@ -148,9 +184,19 @@ def _by_camera(
             path=named[strangers[0]],
             camera=strangers[0],
             remedy="give files and calibrated cameras the same names, or say which is which in "
-            f'session.toml: [camera_map] "{named[strangers[0]].stem}" = "CAMERA NAME"',
+            f'session.toml: [camera_map] "{called[strangers[0]]}" = "CAMERA NAME"',
         )
     return {n: named[n] for n in rig.names if n in named}
+
+
+def _meant(name: str, calibrated: Sequence[str]) -> str:
+    """The calibrated camera that a source is of: of its name, or of the one whose name tools have added to."""
+    if name in calibrated:
+        return name
+    before, after = _POSE2SIM_LENS
+    plain = name.split(_NETWORK)[0] or name
+    fit = [c for c in calibrated if c in (plain, f"{before}{plain}{after}")]
+    return fit[0] if len(fit) == 1 else name
 
 
 def wanted_cameras(root: Path, rig: CameraRig, cameras: tuple[str, ...] | None) -> CameraRig:
@@ -194,12 +240,15 @@ def cameras_with_sources(root: Path, rig: CameraRig, sources: Sources) -> Camera
 
 def _no_pictures(root: Path, rig: CameraRig, sources: Sources) -> MocapError:
     has_strange = bool(sources.pictures or sources.masks or sources.detections or sources.keypoints)
+    if (unread := _unread_keypoints(root)) is not None and not has_strange:
+        what, _, remedy = unread.partition(": ")
+        return MocapError(what, path=root / "keypoints", remedy=remedy)
     return MocapError(
         "the session has no pictures and no masks"
         + (f" of camera {listed(rig.names)}" if has_strange else ""),
         path=root,
         remedy="put videos/CAM.mp4 or images/CAM/*.png there (or masks/CAM/*.png), CAM as named in the "
-        "calibration",
+        "calibration; or keypoints of another tool, keypoints/CAM.csv (docs/keypoints.md)",
     )
 
 
