@@ -210,7 +210,8 @@ def _of_camera(clip: Clip, camera: int) -> FigureFault | None:
         )
     gaps = {what: _gap_m(clip, camera, seen, at) for what, at in clip.clocks().items()}
     what = min(gaps, key=gaps.__getitem__)
-    if gaps[what] <= clip.settings.better * own:
+    # A clock under which the camera does not agree either explains nothing: somebody else was there before, perhaps.
+    if gaps[what] <= min(clip.settings.better * own, clip.settings.strange_m):
         return FigureFault(
             f"the keypoints of camera {name} are {what}",
             "number its frames as those of the other cameras",
@@ -325,7 +326,8 @@ def find_picture_fault(
     what = min(gaps, key=gaps.__getitem__)
     if gaps[what] <= settings.better * own:
         said = what.replace("the others", "the pictures")
-        return FigureFault(f"the keypoints are {said} beside the pictures", "number frames as the clips do")
+        beside = "" if said != what else " beside the pictures"
+        return FigureFault(f"the keypoints are {said}{beside}", "number frames as the clips do")
     if own <= settings.elsewhere_m:
         return None
     return FigureFault(

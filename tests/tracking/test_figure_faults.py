@@ -126,6 +126,16 @@ def test_a_camera_of_another_rig_is_named(world: KeypointWorld) -> None:
     assert "camera cam_3 do not agree" in fault.message
 
 
+def test_a_camera_of_another_clip_is_not_called_early(world: KeypointWorld) -> None:
+    """Somebody else comes nearer and nearer: shown earlier, he would be at half of the distance, and elsewhere still."""
+    figures = {
+        f: [replace(g, uv=g.uv + [400.0 - 6.5 * f, 0.0]) if g.camera == 3 else g for g in seen]
+        for f, seen in figures_of(world).items()
+    }
+    (fault,) = faults(figures, world)
+    assert "camera cam_3 do not agree" in fault.message
+
+
 def poster(world: KeypointWorld) -> NDArray[np.float64]:
     """A person painted on a wall at x = -2.2 m: the points of a frame, pressed flat."""
     from mocap.body.markers import marker_positions
@@ -275,6 +285,6 @@ def test_keypoints_of_another_time_than_the_pictures_are_named() -> None:
     assert "are late by 12 frames beside the pictures" in message(lambda at: x_m(at - 12))
     assert "are early by 7 frames beside" in message(lambda at: x_m(at + 7))
     assert "late by 60 frames or more" in message(lambda at: 0.02 * abs(at - 80 - n // 2))
-    assert "at 0.5 times the frame rate of the pictures" in message(lambda at: x_m(2 * at))
+    assert message(lambda at: x_m(2 * at)) == "the keypoints are at 0.5 times the frame rate of the pictures"
     assert "of another clip than the pictures" in message(lambda at: 7.0)
     assert shown(lambda at: np.nan) is None
