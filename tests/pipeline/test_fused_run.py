@@ -21,6 +21,7 @@ from mocap.pipeline.run import run_session
 from mocap.pipeline.stages.pose import hulls_of_person
 from mocap.products.hulls import stored_grid
 from mocap.products.keypoints import PRODUCT, keypoint_row, known_points
+from mocap.products.poses import stored_poses
 from mocap.products.tracks import stored_tracks
 from mocap.volume import ConsistencyMonitor
 from mocap.volume.known_persons import flesh_along
@@ -47,13 +48,13 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def run(session: Path, out: Path, kind: str) -> StageStore:
-    config = load_config("default", ("output.formats=[]", f"observation={kind}"))
-    run_session(session, out, config=config, until="track")
+def run(session: Path, out: Path, kind: str, until: str = "track") -> StageStore:
+    config = load_config("default", ("output.formats=[]", f"observation={kind}", "pose.n_start_frames=1"))
+    run_session(session, out, config=config, until=until)
     return StageStore(next(out.rglob("carve")).parent)
 
 
-def test_keypoints_of_another_clip_are_named_and_leave_the_volume_as_it_is(
+def test_keypoints_of_another_clip_are_named_and_leave_volume_and_poses_as_they_are(
     session: Path, tmp_path: Path
 ) -> None:
     """Somebody half a metre beside the person: half of him is in its silhouettes, which would hold both."""
@@ -64,9 +65,11 @@ def test_keypoints_of_another_clip_are_named_and_leave_the_volume_as_it_is(
     ]
     write_keypoint_session(replace(WORLD, figures=tuple([[own] for own in frame] for frame in seen)), other)
     (other / "masks").symlink_to(session / "masks")
-    own, without = (run(other, tmp_path / kind, kind).reader("carve") for kind in ("fused", "voxels"))
-    for (_, a), (_, b) in zip(own, without, strict=True):
+    fused, alone = (run(other, tmp_path / kind, kind, "pose") for kind in ("fused", "voxels"))
+    for (_, a), (_, b) in zip(fused.reader("carve"), alone.reader("carve"), strict=True):
         np.testing.assert_array_equal(a["voxels"], b["voxels"])
+    for own, without in zip(stored_poses(fused), stored_poses(alone), strict=True):
+        np.testing.assert_array_equal(own.landmarks, without.landmarks)
     said = json.loads((tmp_path / "fused" / "run.json").read_text(encoding="utf-8"))
     assert "are of another clip than the pictures" in json.dumps(said)
 

@@ -127,9 +127,9 @@ def test_a_camera_of_another_rig_is_named(world: KeypointWorld) -> None:
 
 
 def test_a_camera_of_another_clip_is_not_called_early(world: KeypointWorld) -> None:
-    """Somebody else comes nearer and nearer: shown earlier, he would be at half of the distance, and elsewhere still."""
+    """Somebody else comes nearer: shown earlier, he would be at half of the distance, and elsewhere still."""
     figures = {
-        f: [replace(g, uv=g.uv + [400.0 - 6.5 * f, 0.0]) if g.camera == 3 else g for g in seen]
+        f: [replace(g, uv=g.uv + np.array([400.0 - 6.5 * f, 0.0])) if g.camera == 3 else g for g in seen]
         for f, seen in figures_of(world).items()
     }
     (fault,) = faults(figures, world)

@@ -30,14 +30,20 @@ from mocap.tracking.figures import FigureSettings, figures_of_places
 def fused_pose_stage(job: Job) -> None:
     """Poses of every tracked person from its hulls and its keypoints into the store."""
     tracks = edited_tracks(job.store, job.session, job.config.edits)
-    views_of = views_of_tracks(job.session, job.config, job.store, tracks)
+    known, fault = known_in_pictures(job)
+    # Keypoints of another clip or time have no say in the poses either.
+    views_of = views_of_tracks(job.session, job.config, job.store, tracks) if fault is None else _nothing
 
     def both(tools: VolumeTools, hull_of: HullOf, person: int) -> VolumeObservation:
         return FusedObservation(tools, hull_of, views_of=views_of(person))
 
     # Figures are shared out among all who are there.
     everybody = hashlib.sha256(tracks.frame.tobytes() + tracks.person.tobytes()).hexdigest()
-    solve_poses(job, both, everybody, known_in_pictures(job)[0])
+    solve_poses(job, both, everybody, known)
+
+
+def _nothing(_person: int) -> ViewsOf:
+    return lambda frame: None
 
 
 def views_of_tracks(
