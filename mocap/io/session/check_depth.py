@@ -91,7 +91,7 @@ def check_unit(folder: Path, camera: Camera, units: DepthUnits, frame: int) -> N
         else "say their unit in session.toml: [depth] unit_mm"
     )
     raise MocapError(
-        f"with {units.unit_mm:g} mm to a number the floor would lie at {100 * found[0]:.3g} % of the distance at which "
+        f"with {units.unit_mm:g} mm to a number the floor would lie at {100 * found[0]:.0f} % of the distance at which "
         "the calibration has it",
         path=folder,
         camera=camera.name,
