@@ -374,3 +374,11 @@ def test_check_says_which_file_cannot_be_read(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("left_knee,", "left_knee,x", 1))
     with pytest.raises(MocapError, match="is no number"):
         check_session(open_session(root))
+
+
+def test_check_says_which_of_many_pictures_cannot_be_read(tmp_path: Path) -> None:
+    root = pose2sim_project(tmp_path)
+    broken = root / "pose" / "cam_2_json" / "cam_2_000000.json"
+    broken.write_text("[")
+    (finding,) = [f for f in check_session(open_session(root)) if f.severity == "error"]
+    assert str(broken) in finding.message

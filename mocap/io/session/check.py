@@ -218,7 +218,8 @@ def keypoints(session: Session) -> list[Finding]:
     try:
         figures = keypoints_of(session)
     except MocapError as error:
-        return [Finding("error", error.message, error.camera, error.remedy)]
+        of = "" if error.path is None else f" (file {error.path})"
+        return [Finding("error", f"{error.message}{of}", error.camera, error.remedy)]
     counts = np.zeros((len(session.frames), len(session.rig)), dtype=np.int64)
     for i, frame in enumerate(session.frames):
         np.add.at(counts[i], figures[frame].camera, 1)
