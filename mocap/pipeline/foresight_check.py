@@ -33,7 +33,7 @@ def check_foresight(session: Session) -> list[Finding]:
     out = [Finding("ok", _words(found))]
     if len(rig) <= _MANY:
         camera, deviation_m = next_camera(rig, body, middle)
-        x, y, _ = camera.center
+        x, y = np.round(camera.center[:2], 1) + 0.0  # no minus before a zero
         out.append(
             Finding(
                 "ok",
@@ -69,14 +69,22 @@ def _apart(places: Array, middle: Array) -> Array:
 
 
 def _words(found: Foresight) -> str:
-    kinds = sorted({landmark_kind(name) for name in found.names} - {"pelvis", "neck"})
-    rows = [[i for i, name in enumerate(found.names) if landmark_kind(name) == kind] for kind in kinds]
-    by_kind = [np.sqrt((found.deviation_m[:, own] ** 2).mean()) for own in rows]
-    worst, best = int(np.argmax(by_kind)), int(np.argmin(by_kind))
+    by_kind = {
+        f"{kind}s" if len(rows) > 1 else kind: 1000 * float(np.sqrt((found.deviation_m[0, rows] ** 2).mean()))
+        for kind, rows in _rows_of_kinds(found.names).items()
+    }
+    told = ", ".join(f"{kind} {mm:.0f}" for kind, mm in sorted(by_kind.items(), key=lambda one: one[1]))
     low, high = 1000 * found.mean_m.min(), 1000 * found.mean_m.max()
     spread = f", {low:.0f} to {high:.0f} from place to place" if high - low > 1 else ""
     return (
         f"by where the cameras stand, landmarks can be expected {1000 * found.mean_m[0]:.0f} mm off in the middle"
-        f"{spread}"
-        f"; {kinds[best]}s {1000 * by_kind[best]:.0f}, {kinds[worst]}s {1000 * by_kind[worst]:.0f}"
+        f" ({told}){spread}"
     )
+
+
+def _rows_of_kinds(names: tuple[str, ...]) -> dict[str, list[int]]:
+    """Rows of the landmarks of each kind: both knees are of one."""
+    rows: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        rows.setdefault(landmark_kind(name), []).append(i)
+    return rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -157,6 +158,41 @@ def test_cameras_that_look_apart(tmp_path: Path) -> None:
     assert len(errors) == 1
     assert "no place" in errors[0].message
     assert errors[0].remedy
+
+
+def sides_of(tmp_path: Path, *azimuths_deg: float, height_m: float = 1.5) -> list[str]:
+    """What the check says of the sides that cameras look from, which stand at some azimuths round the middle."""
+    root = tmp_path / "-".join(f"{a:.0f}" for a in azimuths_deg)
+    cameras = []
+    for i, azimuth in enumerate(np.radians(azimuths_deg)):
+        center = np.array([2.5 * np.cos(azimuth), 2.5 * np.sin(azimuth), height_m])
+        cameras.append(look_at(f"c{i}", center, (64, 48)))
+        write_video(root / "videos" / f"c{i}.mp4", [frame_picture((64, 48), 0, i)] * 2)
+    write_calibration(root / "calibration.toml", CameraRig(tuple(cameras)))
+    findings = check_session(open_session(root))
+    said = [f.message for f in findings if f.severity == "warning"]
+    assert not [text for text in said if "m3 are seen by" in text], "they see one place together"
+    return [text for text in said if "degrees" in text]
+
+
+def test_cameras_at_one_side_are_told_from_opposite_ones(tmp_path: Path) -> None:
+    (beside,) = sides_of(tmp_path, 10.0, 25.0)
+    assert "nearly the same side (widest angle" in beside
+    for apart in (150.0, 180.0):
+        (opposite,) = sides_of(tmp_path, 0.0, apart)
+        said = re.match(r"the two cameras stand (\d+) degrees apart, opposite", opposite)
+        assert said is not None
+        assert abs(float(said[1]) - apart) < 5
+        assert "same side" not in opposite
+    (line,) = sides_of(tmp_path, 0.0, 8.0, 176.0)
+    assert "all cameras stand in one line, up to 1" in line
+
+
+def test_pairs_and_triples_that_serve_get_no_warning(tmp_path: Path) -> None:
+    assert sides_of(tmp_path, 0.0, 60.0) == []
+    assert sides_of(tmp_path, 0.0, 135.0) == []
+    assert sides_of(tmp_path, 0.0, 90.0, 180.0) == []
+    assert sides_of(tmp_path, 0.0, 180.0, height_m=4.0) == []  # one from above never mirrors the other
 
 
 @pytest.mark.shared

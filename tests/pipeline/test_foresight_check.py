@@ -36,6 +36,18 @@ def test_fewer_cameras_are_expected_to_do_worse(session: Session) -> None:
     assert found[0] > found[1] > found[2]
 
 
+def test_every_kind_of_landmark_is_told_the_surest_first(session: Session) -> None:
+    inside = re.search(r"in the middle \((.*)\)", check_foresight(session)[0].message)
+    assert inside is not None
+    found = [tuple(one.split()) for one in inside[1].split(", ")]
+    assert {word for word, _ in found} == {
+        "head", "neck", "pelvis", "shoulders", "elbows", "wrists", "hips", "knees", "ankles"
+    }  # fmt: skip
+    numbers = [int(mm) for _, mm in found]
+    assert numbers == sorted(numbers)
+    assert found[-1][0] == "wrists"
+
+
 def test_one_more_camera_is_proposed_where_it_helps(session: Session) -> None:
     said = check_foresight(session)
     assert [finding.severity for finding in said] == ["ok", "ok"]

@@ -25,7 +25,11 @@ MAX_SCALE_ERROR = 0.03
 _STEP_M = 0.1
 _HEIGHT_M = 2.0
 _MIN_COMMON_M3 = 1.0
+_AHEAD_M = 4.0
 _MIN_BACKGROUND_FRAMES = 5
+# Two cameras that stand further apart than this see nearly the same outline (docs/few-cameras.md), unless one of them
+# looks down: the sine of its height over the middle.
+_SAME_SIDE_DEG, _OPPOSITE_DEG, _STEEP_SINE = 30.0, 140.0, 0.7
 # A camera that shows nobody in most frames adds little, or its files are of another clip.
 _FEW_FIGURES = 0.6
 # Wrong pictures of one folder that are listed one by one.
@@ -119,16 +123,7 @@ def _common_view(session: Session, rig: CameraRig, centers: Array) -> list[Findi
                 remedy="turn the cameras to one place, or check the calibration",
             )
         )
-    directions = (centers - middle) / np.maximum(distances, 1e-9)[:, None]
-    angle = float(np.degrees(np.arccos(np.clip(np.abs(directions @ directions.T).min(), 0.0, 1.0))))
-    if angle < 30:
-        out.append(
-            Finding(
-                "warning",
-                f"all cameras look from nearly the same side (widest angle {angle:.0f} degrees): depth is uncertain",
-                remedy="place cameras around the person",
-            )
-        )
+    out += _sides((centers - middle) / np.maximum(distances, 1e-9)[:, None])
     for i, name in enumerate(rig.names):
         if not (sees[i] & some).any():
             out.append(
@@ -142,6 +137,35 @@ def _common_view(session: Session, rig: CameraRig, centers: Array) -> list[Findi
     return out
 
 
+def _sides(directions: Array) -> list[Finding]:
+    """What is wrong with the sides that cameras look from.  directions : (C, 3) unit, from the middle to each."""
+    cosines = directions @ directions.T
+    angle = float(np.degrees(np.arccos(np.clip(np.abs(cosines).min(), 0.0, 1.0))))
+    if angle < _SAME_SIDE_DEG and cosines.min() > 0:
+        return [
+            Finding(
+                "warning",
+                f"all cameras look from nearly the same side (widest angle {angle:.0f} degrees): depth is uncertain",
+                remedy="place cameras around the person",
+            )
+        ]
+    azimuths = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
+    apart = float(np.abs((azimuths[:, None] - azimuths + 180.0) % 360.0 - 180.0).max())
+    is_pair = len(directions) == 2 and np.abs(directions[:, 2]).max() < _STEEP_SINE
+    if angle < _SAME_SIDE_DEG or (is_pair and apart > _OPPOSITE_DEG):
+        who = "the two cameras stand" if len(directions) == 2 else "all cameras stand in one line, up to"
+        return [
+            Finding(
+                "warning",
+                f"{who} {apart:.0f} degrees apart, opposite each other or nearly so: they see the same outline, "
+                "mirrored, so that arms, and front and back, can be exchanged, and errors be several times what is "
+                "foreseen",
+                remedy="place two cameras 60 to 135 degrees apart, or add one at the side",
+            )
+        ]
+    return []
+
+
 def _visibility(
     session: Session, rig: CameraRig, centers: Array
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
@@ -149,8 +173,11 @@ def _visibility(
     if session.room_bounds_m is not None:
         lower, upper = (np.array(corner) for corner in session.room_bounds_m)
     else:
-        lower = np.append(centers[:, :2].min(axis=0) - 1.0, 0.0)
-        upper = np.append(centers[:, :2].max(axis=0) + 1.0, _HEIGHT_M)
+        # Cameras at one side enclose nothing: people are before them.
+        ahead = centers + _AHEAD_M * np.array([c.R[2] for c in rig])
+        corners = np.concatenate([centers[:, :2], ahead[:, :2]])
+        lower = np.append(corners.min(axis=0) - 1.0, 0.0)
+        upper = np.append(corners.max(axis=0) + 1.0, _HEIGHT_M)
     # At most about 200,000 points whatever the size of the room.
     n = np.minimum(np.ceil((upper - lower) / _STEP_M).astype(int) + 1, [100, 100, 21])
     axes = [np.linspace(a, b, k) for a, b, k in zip(lower, upper, n, strict=True)]
