@@ -10,12 +10,14 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from eval.evidence import RESULTS
+from eval.whole import save_figure
 from mocap.arrays import Array
-from mocap.view.plotting import LINE_COLOURS, LINE_STYLES, finish, new_figure, png
+from mocap.view.plotting import LINE_COLOURS, LINE_STYLES, finish, new_figure
 
 HERE = Path(__file__).parent
 PAGE, PICTURE = HERE / "evidence.md", HERE / "pictures" / "evidence.png"
@@ -140,7 +142,7 @@ def written(page: str, found: Sequence[Row]) -> str:
     return page
 
 
-def draw(found: Sequence[Row]) -> bytes:
+def draw(found: Sequence[Row]) -> Any:
     """Errors over cameras, a panel for each session; the mean over seeds, and their range as a bar."""
     by_case = cells(found)
     sessions = list(dict.fromkeys(session for session, _ in by_case))
@@ -165,14 +167,14 @@ def draw(found: Sequence[Row]) -> bytes:
         ax.minorticks_off()
         ax.set_xticks([2, 3, 4, 5, 7])
         finish(ax, TITLES[session], "cameras", "mm", legend=k == n_columns - 1, small=True)
-    return png(figure)
+    return figure
 
 
 def main() -> None:
     """Write tables and picture."""
     found = rows()
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), found), encoding="utf-8")
-    PICTURE.write_bytes(draw(found))
+    save_figure(draw(found), PICTURE)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,14 @@
 
     python -m eval.few_cameras [SESSION ...]     # two walks, among the development sessions
     python -m eval.few_cameras --test            # sessions that the foresight's numbers were not chosen on
+    python -m eval.few_cameras --seeds 5         # the same, five times
 
 Of every session pairs at about 50, 100 and 150 degrees, the most even and the narrowest three and four cameras, and
-all of them are run with the default preset, seed 0, from the videos. Columns: errors raw and after one offset per
+all of them are run with the default preset from the videos. Columns: errors raw and after one offset per
 landmark, mm, MMTA %, and the foreseen deviation, mm, at the places where the persons of the truth are. Writes
-eval/results/few_cameras_{development,test}.csv; what is in --work already is kept. --fit prints how some numbers of
-`ForesightSettings` foresee the errors of the development table.
+eval/results/few_cameras_{development,test}.csv, whole; what is in --work already is kept. --fit prints how some numbers
+of `ForesightSettings` foresee the errors of the development table. `python -m docs.make_few_cameras` puts the tables
+into the pages.
 """
 
 from __future__ import annotations
@@ -99,18 +101,19 @@ def places_of(session: Path) -> tuple[Array, float]:
     return np.concatenate(spots), max(heights)
 
 
-def row_of(session: Path, words: str, names: tuple[str, ...], work: Path) -> Row:
+def row_of(session: Path, words: str, names: tuple[str, ...], work: Path, seed: int) -> Row:
     """One run and what was foreseen of it."""
     fewer = some_cameras(session, names, work)
-    out = work / "runs" / fewer.name
+    out = work / "runs" / (fewer.name if seed == 0 else f"{fewer.name}-seed-{seed}")
     if not (out / "run.json").exists():
-        run_session(fewer, out, config=load_config("default", ("output.formats=[]",)), seed=0)
+        run_session(fewer, out, config=load_config("default", ("output.formats=[]",)), seed=seed)
     scores = compare(out, session, CompareOptions()).scores
     return {
         "session": session.name,
         "n_cameras": len(names),
         "cameras": " ".join(names),
         "places": words,
+        "seed": seed,
         "mean_error_mm": round(scores["mean_error_mm"], 1),
         "after_offset_mm": round(scores["mean_error_after_offset_mm"], 1),
         "mmta_percent": round(scores["mmta_percent"], 1),
@@ -147,6 +150,7 @@ def fit(table: Path) -> None:
 
 def main() -> None:
     parser = session_parser(__doc__, "out/few_cameras")
+    parser.add_argument("--seeds", type=int, default=1, help="runs of every set of cameras")
     parser.add_argument("--fit", action="store_true", help="choose flesh_std_m on the development table")
     options: argparse.Namespace = parser.parse_args()
     if options.fit:
@@ -157,8 +161,9 @@ def main() -> None:
         session = session_of(name, options.work)
         spots, _ = places_of(session)
         for words, names in camera_sets(open_session(session).rig, spots.mean(axis=0)):
-            rows.append(row_of(session, words, names, options.work))
-            print(rows[-1], flush=True)
+            for seed in range(options.seeds):
+                rows.append(row_of(session, words, names, options.work, seed))
+                print(rows[-1], flush=True)
     write_table("few_cameras", options, rows)
 
 
