@@ -32,7 +32,7 @@ def import_set(
     ] = None,
     names: Annotated[
         Path | None,
-        typer.Option("--map", help="TOML file whose [truth] says which points are our landmarks."),
+        typer.Option("--map", help="TOML file whose table truth says which points are our landmarks."),
     ] = None,
     copy: Annotated[bool, typer.Option("--copy", help="Copy the clips in place of links to them.")] = False,
 ) -> None:

@@ -51,6 +51,23 @@ print("HEAVY", *[m for m in {HEAVY!r} if m in sys.modules])
     assert re.search(r"^HEAVY$", out, re.M), out.splitlines()[-1]
 
 
+def test_no_word_of_the_help_is_taken_for_markup() -> None:
+    """What stands in square brackets would not be shown: `[truth]` of a TOML file."""
+    import typer
+
+    from mocap.cli.app import app
+
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    texts = {
+        (name, str(param.name)): str(getattr(param, "help", None) or "")
+        for name, command in commands.items()
+        for param in command.params
+    }
+    texts |= {(name, ""): str(command.help or "") for name, command in commands.items()}
+    assert ("import", "names") in texts
+    assert [where for where, text in texts.items() if re.search(r"(?<!\\)\[[a-z/#@][^\[\]]*\]", text)] == []
+
+
 def test_import_is_light() -> None:
     out = python(f"import sys, mocap; print(*[m for m in {HEAVY!r} if m in sys.modules])")
     assert out.strip() == ""
