@@ -161,7 +161,7 @@ def draw(found: Sequence[Row]) -> Any:
     )
     angle.set_ylim(0, None)
     finish(angle, "two cameras", "degrees between them", "mm: foreseen (line), measured", small=True)
-    for n, azimuths in {**PLACES_DEG, 7: np.arange(7) * 360.0 / 7}.items():
+    for n, azimuths in {**PLACES_DEG, 7: tuple(k * 360.0 / 7 for k in range(7))}.items():
         joints.plot(foreseen_kinds_mm(body, azimuths), KINDS, "o", color=OF_NUMBER[n], ms=4)
     joints.set_xlim(0, None)
     joints.invert_yaxis()

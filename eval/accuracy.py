@@ -74,7 +74,7 @@ def filtered(motion: Motion, fps: float) -> Motion:
     series[motion.frames - frames[0]] = motion.landmarks
     b, a = butter(FILTER_ORDER, FILTER_HZ, fs=fps)
     for m in range(series.shape[1]):
-        known = np.isfinite(series[:, m]).all(axis=1)
+        known = np.asarray(np.isfinite(series[:, m]).all(axis=1))
         if known.sum() > 3 * max(len(a), len(b)):
             own = np.column_stack([np.interp(frames, frames[known], series[known, m, k]) for k in range(3)])
             series[:, m] = np.where(known[:, None], filtfilt(b, a, own, axis=0), np.nan)
