@@ -77,13 +77,15 @@ class FaultSettings:
 @dataclass(frozen=True)
 class FigureFault:
     """What is wrong.  camera : its index, None = all or none of them.  person : that is none, by its number.
-    is_unexplained : the camera's keypoints lie elsewhere, and nothing is known that explains it."""
+    is_unexplained : the camera's keypoints lie elsewhere, and nothing is known that explains it.  is_mirrored : left
+    and right are exchanged in all cameras."""
 
     message: str
     remedy: str
     camera: int | None = None
     person: int | None = None
     is_unexplained: bool = False
+    is_mirrored: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,6 +421,7 @@ def _mirrored(clip: Clip) -> list[FigureFault]:
         FigureFault(
             "left and right seem exchanged in the keypoints of all cameras: faces, toes and knees point backwards",
             "exchange the names, or check that the calibration is not mirrored",
+            is_mirrored=True,
         )
     ]
 

@@ -13,7 +13,7 @@ import pytest
 from keypoint_world import keypoint_world, write_keypoint_session
 
 from mocap.body.markers import marker_positions
-from mocap.data.keypoints import KEYPOINTS, Figures
+from mocap.data.keypoints import KEYPOINTS, MIRRORED, Figures
 from mocap.io.session import check_session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
@@ -72,6 +72,19 @@ def test_keypoints_of_another_clip_are_named_and_leave_volume_and_poses_as_they_
         np.testing.assert_array_equal(own.landmarks, without.landmarks)
     said = json.loads((tmp_path / "fused" / "run.json").read_text(encoding="utf-8"))
     assert "are of another clip than the pictures" in json.dumps(said)
+
+
+def test_keypoints_with_left_and_right_exchanged_turn_nobody_about(session: Path, tmp_path: Path) -> None:
+    """A tool that names sides as a mirror does: what it says of arms and legs is of the other ones."""
+    other = tmp_path / "session"
+    figures = tuple([[figure[MIRRORED] for figure in own] for own in frame] for frame in WORLD.figures)
+    write_keypoint_session(replace(WORLD, figures=figures), other)
+    (other / "masks").symlink_to(session / "masks")
+    fused, alone = (run(other, tmp_path / kind, kind, "pose") for kind in ("fused", "voxels"))
+    for own, without in zip(stored_poses(fused), stored_poses(alone), strict=True):
+        np.testing.assert_array_equal(own.landmarks, without.landmarks)
+    said = (tmp_path / "fused" / "run.json").read_text(encoding="utf-8")
+    assert "without keypoints whose left and right seem exchanged" in said
 
 
 def test_legs_that_one_camera_does_not_see_are_in_the_volume(session: Path, tmp_path: Path) -> None:

@@ -35,7 +35,10 @@ def keypoint_stage(job: Job) -> None:
     session = job.session
     read = keypoints_of(session)
     persons, faults = persons_of_keypoints(session, read, session.frames)
-    attrs = {"faults": [f"{fault.message}. Remedy: {fault.remedy}" for fault in faults]}
+    attrs = {
+        "faults": [f"{fault.message}. Remedy: {fault.remedy}" for fault in faults],
+        "is_mirrored": any(fault.is_mirrored for fault in faults),
+    }
     with job.writer(PRODUCT, attrs) as out:
         for i, frame in enumerate(session.frames):
             of = np.zeros(len(read[frame]), dtype=np.int64)

@@ -1,6 +1,7 @@
 """Whom keypoints know in the pictures of a clip, asked before its volume is carved.
 
-Keypoints of other moments than the pictures would put their persons into every silhouette: they know nobody.
+Keypoints of other moments than the pictures would put their persons into every silhouette, and those with left and
+right exchanged turn every pose about: they know nobody.
 """
 
 from __future__ import annotations
@@ -13,10 +14,15 @@ from numpy.typing import NDArray
 from mocap.data.keypoints import NOBODY
 from mocap.pipeline.stage import Job
 from mocap.products import masks as masks_product
-from mocap.products.keypoints import known_points
+from mocap.products.keypoints import PRODUCT, known_points
 from mocap.products.masks import masks_from_arrays
 from mocap.tracking.figure_faults import FaultSettings, FigureFault, find_picture_fault
 from mocap.volume.known_persons import BesideSilhouettes
+
+_MIRRORED = FigureFault(
+    "volumes are carved, and poses found, without keypoints whose left and right seem exchanged",
+    "exchange the names; --observation keypoints takes them as they are",
+)
 
 
 def known_in_pictures(job: Job) -> tuple[dict[int, NDArray[np.float64]], FigureFault | None]:
@@ -31,5 +37,6 @@ def known_in_pictures(job: Job) -> tuple[dict[int, NDArray[np.float64]], FigureF
     def beside_m(frame: int, shown: int) -> float:
         return silhouettes(frame).mean_m(known.get(shown, NOBODY))
 
-    fault = find_picture_fault(beside_m, job.session.frames, FaultSettings())
+    is_mirrored = job.store.reader(PRODUCT).attrs.get("is_mirrored", False)
+    fault = _MIRRORED if is_mirrored else find_picture_fault(beside_m, job.session.frames, FaultSettings())
     return known if fault is None else dict.fromkeys(known, NOBODY), fault
