@@ -26,6 +26,7 @@ _TROUSERS = [
     (0.28, 0.24, 0.17),
 ]
 _SHOES = [(0.03, 0.03, 0.03), (0.12, 0.07, 0.04), (0.45, 0.45, 0.44)]
+_SHORT, _LONG = 0.30, 0.95  # sleeves, as shares of the arm
 _ON_HAIR_M = 0.006  # what is nearer to the hair's own shape than this has its colour
 
 
@@ -49,6 +50,11 @@ class Look:
     stripes_m: float
     table: Array
     hem: float = 0.045
+
+    def cut(self, sleeves: str | None, stripes_m: float | None) -> Look:
+        """The same with other sleeves, `short` or `long`, and stripes; None = as they are."""
+        sleeve = self.sleeve if sleeves is None else {"short": _SHORT, "long": _LONG}[sleeves]
+        return replace(self, sleeve=sleeve, stripes_m=self.stripes_m if stripes_m is None else stripes_m)
 
     def albedo(self, body: Body, rest: Array) -> Array:
         """Linear RGB (N, 3) at rest positions (N, 3) m on the body's surface."""
@@ -143,13 +149,13 @@ def make_look(
         second=np.clip(0.35 * shirt + rng.uniform(0.0, 0.45), 0.02, 0.9),
         trousers=pick(_TROUSERS),
         shoes=pick(_SHOES),
-        sleeve=float(rng.choice([0.30, 0.95, 0.95])),
+        sleeve=float(rng.choice([_SHORT, _LONG, _LONG])),
         leg=float(rng.choice([0.45, 1.2, 1.2, 1.2])),
         stripes_m=float(rng.choice([0.0, 0.0, 0.09])),
         table=rng.uniform(size=(32, 32, 32)),
     )
     if clothes == "loose":
-        look = replace(look, sleeve=0.95 if look.sleeve > 0.5 else 0.47, leg=1.2, hem=-0.083)
+        look = replace(look, sleeve=_LONG if look.sleeve > 0.5 else 0.47, leg=1.2, hem=-0.083)
     elif clothes == "skirt":
         look = replace(look, leg=0.46)
     if "shirt" in given:

@@ -263,6 +263,9 @@ class Person(Section):
     body: Literal["own", "anny"] = "own"
     """own: polygonised from primitives; anny: shapes of the optional package anny."""
     colours: Colours = Field(default_factory=lambda: Colours.model_validate({}))
+    sleeves: Literal["short", "long"] | None = None
+    stripes_m: float | None = Field(None, ge=0.0, le=0.5)
+    """Period of the shirt's stripes; 0 = plain."""
     motion: Annotated[AnyMotion, Field(discriminator="kind")]
 
     @model_validator(mode="after")
@@ -307,7 +310,8 @@ def cast(person: Person, room: Room, rng_of: Callable[[int], np.random.Generator
         )
         body = build_body(figure)
     colours = {n: _linear(c, room) for n, c in person.colours if c is not None}
-    return body, make_look(rng=rng_of(5), sex=sex, clothes=person.clothes, colours=colours)
+    look = make_look(rng=rng_of(5), sex=sex, clothes=person.clothes, colours=colours)
+    return body, look.cut(person.sleeves, person.stripes_m)
 
 
 def _size(person: Person, sex: str, rng: np.random.Generator) -> tuple[float, float]:

@@ -226,6 +226,23 @@ def test_given_colours_are_where_they_belong() -> None:
         make_look(rng=np.random.default_rng(4), sex="female", colours={"hat": (0, 0, 0)})
 
 
+def test_sleeves_and_stripes_are_what_the_scene_says() -> None:
+    body = _body()
+    colours = {"skin": (0.8, 0.1, 0.1), "shirt": (0.1, 0.1, 0.8)}
+    look = make_look(rng=np.random.default_rng(4), sex="female", colours=colours)
+    wrist, elbow = (body.rest_position[JOINT[f"left_{name}"]] for name in ("wrist", "elbow"))
+    forearm = body.vertices[[np.argmin(np.linalg.norm(body.vertices - 0.5 * (wrist + elbow), axis=1))]]
+    for sleeves, is_skin in (("short", True), ("long", False)):
+        red, _, blue = look.cut(sleeves, None).albedo(body, forearm)[0]
+        assert (red > blue) == is_skin
+    chest = body.rest_position[JOINT["chest"]] + np.stack(
+        [[0.12, 0.0, z] for z in np.arange(0.0, 0.1, 0.005)]
+    )
+    blues = [look.cut(None, period).albedo(body, chest)[:, 2] for period in (0.0, 0.05)]
+    assert np.ptp(blues[1]) > 3 * np.ptp(blues[0])
+    assert look.cut(None, None).sleeve == look.sleeve
+
+
 def test_dress_does_not_change_what_else_is_drawn() -> None:
     plain = make_look(rng=np.random.default_rng(4), sex="female")
     skirt = make_look(rng=np.random.default_rng(4), sex="female", clothes="skirt")
