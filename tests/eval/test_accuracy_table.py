@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from eval import accuracy, body_size, person_surface
+from eval import accuracy, body_size, inner_evidence, person_surface
 from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.data import LANDMARKS, Motion
 
@@ -122,3 +122,18 @@ def test_the_decision_on_girths_says_what_its_table_says() -> None:
             tuple(f"{np.mean([float(row[f]) for row in own]):.1f}" for f in person_surface.FIELDS[5:])
         )
     assert told == expected
+
+
+def test_the_decision_on_texture_says_what_the_table_of_inner_evidence_says() -> None:
+    with inner_evidence.RESULTS.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    note = (accuracy.ROOT / "docs" / "decisions" / "0071-texture-over-a-clip.md").read_text(encoding="utf-8")
+    cells: dict[tuple[str, str], list[str]] = {}
+    for kind in dict.fromkeys((row["session"], row["cameras"], row["variant"]) for row in rows):
+        own = [row for row in rows if (row["session"], row["cameras"], row["variant"]) == kind]
+        raw, after, arms = (np.array([float(row[f]) for row in own]) for f in inner_evidence.SCORES[:3])
+        text = f"{raw.mean():.1f} / {after.mean():.1f} ± {after.std(ddof=1):.1f} / {arms.mean():.1f}"
+        cells.setdefault(kind[:2], []).append(text)
+    assert {len(own) for own in cells.values()} == {len(inner_evidence.VARIANTS)}
+    for (session, cameras), own in cells.items():
+        assert f"| `{session}` | {cameras} | {' | '.join(own)} |" in note
