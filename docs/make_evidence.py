@@ -1,14 +1,14 @@
-"""What evidence is worth: the tables of docs/evidence.md and docs/pictures/evidence.png.
+"""What evidence is worth: tables of docs/evidence.md and docs/keypoints.md, and docs/pictures/evidence.png.
 
     python -m docs.make_evidence
 
-The numbers are those of eval/results/evidence.csv (`python -m eval.evidence`), means over its seeds.
+The numbers are those of eval/results/ (`python -m eval.evidence`), means over seeds.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,11 @@ from mocap.arrays import Array
 from mocap.view.plotting import LINE_COLOURS, LINE_STYLES, finish, new_figure
 
 HERE = Path(__file__).parent
-PAGE, PICTURE = HERE / "evidence.md", HERE / "pictures" / "evidence.png"
+PAGE, KEYPOINTS_PAGE, PICTURE = (
+    HERE / "evidence.md",
+    HERE / "keypoints.md",
+    HERE / "pictures" / "evidence.png",
+)
 BEGIN, END = "<!-- {} -->\n", "<!-- end of {} -->"
 WORDS = {
     "triangulation": "plain triangulation",
@@ -36,15 +40,21 @@ TITLES = {
     "camouflage": "camouflage",
     "no_empty_clip": "no empty clip",
     "two_persons": "two persons",
+    "walk": "`walk`",
+    "reach": "`reach`, arms before the trunk",
+    "cross": "`cross`, a grey shirt before grey walls",
+    "room": "`room`, two persons",
+    "keypoints_gesture_test": "`keypoints_gesture_test`, shirt and skin of the room's colours",
+    "keypoints_pair_test": "`keypoints_pair_test`, two walkers",
 }
 RAW, AFTER = "mean_error_mm", "mean_error_after_offset_mm"
 Row = dict[str, str]
 Cell = tuple[Row, ...]  # the seeds of a session, a number of cameras and a method
 
 
-def rows() -> list[Row]:
-    """The rows of the table."""
-    with (RESULTS / "evidence.csv").open(encoding="utf-8", newline="") as stream:
+def rows(table: str = "evidence.csv") -> list[Row]:
+    """The rows of a table."""
+    with (RESULTS / table).open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(stream))
 
 
@@ -62,15 +72,15 @@ def errors(cell: Cell, field: str) -> Array:
     return np.array([float(row[field]) for row in cell if row[field]])
 
 
-def errors_table(found: Sequence[Row]) -> str:
+def errors_table(found: Sequence[Row], methods: Sequence[str] = METHODS) -> str:
     """Raw errors with their range, in brackets after offsets, and how many persons were found where one was not."""
     lines = [
-        f"| session | cameras | {' | '.join(WORDS[m] for m in METHODS)} |",
-        "|---|---" + "|---" * len(METHODS) + "|",
+        f"| session | cameras | {' | '.join(WORDS[m] for m in methods)} |",
+        "|---|---" + "|---" * len(methods) + "|",
     ]
     for (session, cameras), own in cells(found).items():
         most = max(int(r["found"]) for cell in own.values() for r in cell)
-        texts = [_cell(own[m], most) if m in own else "" for m in METHODS]
+        texts = [_cell(own[m], most) if m in own else "" for m in methods]
         lines.append(f"| {TITLES[session]} | {cameras} | {' | '.join(texts)} |")
     return "\n".join(lines)
 
@@ -82,7 +92,8 @@ def _cell(cell: Cell, n_persons: int) -> str:
     n_missed = sum(n_persons - int(row["found"]) for row in cell)
     missed = f", {n_missed} of {n_persons * len(cell)} not found" if n_missed else ""
     share = np.mean([float(row["mmta_percent"]) for row in cell])
-    span = f", {raw.min():.0f} to {raw.max():.0f}" if len(raw) > 1 else ""
+    least, most = f"{raw.min():.0f}", f"{raw.max():.0f}"
+    span = f", {least} to {most}" if least != most else ""
     return f"{raw.mean():.1f} ({after.mean():.1f}){span}; {share:.0f} %{missed}"
 
 
@@ -132,10 +143,21 @@ def times_table(found: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def written(page: str, found: Sequence[Row]) -> str:
-    """The page with both tables in their places."""
-    tables = (("errors", errors_table(found)), ("gains", gains_table(found)), ("times", times_table(found)))
-    for name, table in tables:
+def tables_of(page: Path) -> dict[str, str]:
+    """The tables of a page, by the name of their place."""
+    if page == KEYPOINTS_PAGE:
+        of = {
+            "alone": ("keypoints.csv", METHODS[:2]),
+            "beside volumes": ("keypoints_fused.csv", METHODS[2:4]),
+        }
+        return {name: errors_table(rows(table), methods) for name, (table, methods) in of.items()}
+    found = rows()
+    return {"errors": errors_table(found), "gains": gains_table(found), "times": times_table(found)}
+
+
+def written(page: str, tables: Mapping[str, str]) -> str:
+    """A page with tables in their places."""
+    for name, table in tables.items():
         begin, end = BEGIN.format(name), END.format(name)
         before, _, rest = page.partition(begin)
         page = f"{before}{begin}{table}\n{end}{rest.partition(end)[2]}"
@@ -172,9 +194,9 @@ def draw(found: Sequence[Row]) -> Any:
 
 def main() -> None:
     """Write tables and picture."""
-    found = rows()
-    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), found), encoding="utf-8")
-    save_figure(draw(found), PICTURE)
+    for page in (PAGE, KEYPOINTS_PAGE):
+        page.write_text(written(page.read_text(encoding="utf-8"), tables_of(page)), encoding="utf-8")
+    save_figure(draw(rows()), PICTURE)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@
 
 Sessions are five synthetic scenes (`eval.evidence_scenes`) and the realistic development sessions in
 ../shared/dev_sessions with the detections of MediaPipe that lie beside them; fewer cameras are those of the ring that
-stand far apart. Another seed is another scene, or other random numbers in the same development session; evidence.csv
-has five, the other tables have the first. A row that was measured once is kept in --work and read from there, so that
+stand far apart. All tables have five seeds: another one is another scene, or other random numbers in the same
+development session. A row that was measured once is kept in --work and read from there, so that
 the table can be made in many calls; a new version of the program wants a new --work. A table of eval/results/ is
 written, whole, when all its rows are there: evidence.csv of the scenes, keypoints.csv and keypoints_fused.csv of the
 development sessions.
@@ -51,7 +51,7 @@ METHODS = ("triangulation", "keypoints", "volumes", "fused", "fused_depth")
 CAMERAS = (2, 3, 4, 7)
 # Cameras on the ring, far apart: the first two look from sides at right angles, as far as seven on a ring can.
 OF_RING = (0, 2, 4, 1, 5, 3, 6)
-N_SEEDS = 5  # of evidence.csv
+N_SEEDS = 5
 EPSILON_MM = 100.0
 FIELDS = (
     *("session", "cameras", "method", "seed", "persons", "found"),
@@ -90,10 +90,14 @@ TABLES: dict[str, tuple[Case, ...]] = {
     "evidence.csv": tuple(
         case for seed in range(N_SEEDS) for case in cases(tuple(SCENES), CAMERAS, METHODS, seed)
     ),
-    "keypoints.csv": tuple(cases(DEV_SESSIONS, CAMERAS, METHODS[:2], 0)),
-    "keypoints_fused.csv": (
-        *cases(DEV_SESSIONS[:3], (4, 7), ("volumes", "fused"), 0),
-        *cases((DEV_SESSIONS[3], *FURTHER), (4,), ("volumes", "fused"), 0),
+    "keypoints.csv": tuple(
+        case for seed in range(N_SEEDS) for case in cases(DEV_SESSIONS, CAMERAS, METHODS[:2], seed)
+    ),
+    "keypoints_fused.csv": tuple(
+        case
+        for seed in range(N_SEEDS)
+        for sessions, cameras in ((DEV_SESSIONS[:3], (4, 7)), ((DEV_SESSIONS[3], *FURTHER), (4,)))
+        for case in cases(sessions, cameras, ("volumes", "fused"), seed)
     ),
 }
 
@@ -208,7 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cameras", default=",".join(map(str, CAMERAS)))
     parser.add_argument("--methods", default=",".join(METHODS))
     seeds = ",".join(map(str, range(N_SEEDS)))
-    parser.add_argument("--seeds", default=seeds, help="of the scenes; development sessions have seed 0")
+    parser.add_argument("--seeds", default=seeds)
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "evidence")
     options = parser.parse_args(arguments)
     sessions, methods = options.sessions.split(","), options.methods.split(",")
@@ -216,8 +220,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error("the development sessions (../shared/dev_sessions) are not there")
     warm_up()
     for seed in map(int, options.seeds.split(",")):
-        own = [s for s in sessions if s in SCENES or seed == 0]
-        for case in cases(own, [int(n) for n in options.cameras.split(",")], methods, seed):
+        for case in cases(sessions, [int(n) for n in options.cameras.split(",")], methods, seed):
             row_of(case, options.work)
     for name, table in TABLES.items():
         if all(kept_row(case, options.work).exists() for case in table):

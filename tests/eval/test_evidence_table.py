@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from docs import make_evidence
-from eval.evidence import N_SEEDS, RESULTS, ROOT, TABLES, scores
+from eval.evidence import N_SEEDS, TABLES, scores
 from eval.evidence_scenes import SCENES, scene_of
 from eval.triangulation import landmarks_of_points
 from mocap.data import LANDMARKS, Motion
@@ -75,9 +74,11 @@ def seeds_of(scene: dict[str, Any]) -> list[int]:
     return [scene["seed"], *(person["seed"] for person in scene["persons"])]
 
 
-def test_the_page_says_what_the_table_of_scenes_says() -> None:
-    page = make_evidence.PAGE.read_text(encoding="utf-8")
-    assert make_evidence.written(page, make_evidence.rows()) == page
+@pytest.mark.parametrize("page", [make_evidence.PAGE, make_evidence.KEYPOINTS_PAGE])
+def test_a_page_says_what_its_tables_say(page: Path) -> None:
+    text, tables = page.read_text(encoding="utf-8"), make_evidence.tables_of(page)
+    assert all(table in text for table in tables.values())
+    assert make_evidence.written(text, tables) == text
 
 
 def row(method: str, seed: int, raw: float | None, found: int = 1) -> dict[str, str]:
@@ -102,30 +103,3 @@ def test_cells_are_means_over_seeds_with_their_range_and_say_who_was_not_found()
     gain = make_evidence.gains_table(found).splitlines()[-1].split(" | ")
     assert gain[4] == "-50 (-50) %"
     assert gain[3] == ""
-
-
-def test_the_page_says_what_the_table_of_volumes_with_keypoints_says() -> None:
-    table: dict[tuple[str, str], dict[str, str]] = {}
-    with (RESULTS / "keypoints_fused.csv").open(encoding="utf-8") as stream:
-        for row in csv.DictReader(stream):
-            raw, after = float(row["mean_error_mm"]), float(row["mean_error_after_offset_mm"])
-            table.setdefault((row["session"], row["cameras"]), {})[row["method"]] = f"{raw:.1f} ({after:.1f})"
-    page = (ROOT / "docs" / "keypoints.md").read_text(encoding="utf-8").partition("**With volumes**")[2]
-    found = re.findall(r"^\| `(\w+)`[^|]*\| (\d) \| ([^|]*) \| \*\*([^|]*)\*\* \|$", page, flags=re.MULTILINE)
-    assert {(s, n): {"volumes": v, "fused": f} for s, n, v, f in found} == table
-
-
-def test_the_page_says_what_the_table_of_keypoints_alone_says() -> None:
-    table: dict[tuple[str, str], dict[str, str]] = {}
-    with (RESULTS / "keypoints.csv").open(encoding="utf-8") as stream:
-        for row in csv.DictReader(stream):
-            if row["session"] != "room":  # told in words
-                raw, after = float(row["mean_error_mm"]), float(row["mean_error_after_offset_mm"])
-                table.setdefault((row["session"], row["cameras"]), {})[row["method"]] = (
-                    f"{raw:.1f} ({after:.1f})"
-                )
-    page = (ROOT / "docs" / "keypoints.md").read_text(encoding="utf-8").partition("## What was measured")[2]
-    found = re.findall(
-        r"^\| (\w+) \| (\d) \| ([^|]*) \| \*\*([\d.]+)\*\* (\([^|]*\)) \|", page, flags=re.MULTILINE
-    )
-    assert {(s, n): {"triangulation": t, "keypoints": f"{k} {a}"} for s, n, t, k, a in found} == table
