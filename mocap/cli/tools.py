@@ -193,8 +193,8 @@ def check(
             findings.append(replace(said, message=f"from frame {stretch.start} on, {said.message}"))
     for finding in findings:
         where = f" [{finding.camera}]" if finding.camera else ""
-        remedy = f" Remedy: {finding.remedy}." if finding.remedy else ""
-        typer.echo(f"{finding.severity:>8}{where}: {finding.message}{remedy}")
+        remedy = f". Remedy: {finding.remedy.rstrip('.')}." if finding.remedy else ""
+        typer.echo(f"{finding.severity:>8}{where}: {finding.message.rstrip('.')}{remedy}")
     n_errors = sum(f.severity == "error" for f in findings)
     n_warnings = sum(f.severity == "warning" for f in findings)
     typer.echo(f"{n_errors} errors, {n_warnings} warnings")

@@ -33,4 +33,7 @@ def test_exchanged_clips_are_an_error_with_a_remedy(session: Path, tmp_path: Pat
     done = mocap("check", session, "--calibration", tmp_path / "exchanged.toml")
     assert done.code == 2
     assert "are exchanged" in done.out
-    assert "Remedy: exchange the clips" in done.out
+    (line,) = [line for line in done.out.splitlines() if "Remedy: exchange the clips" in line]
+    assert ". Remedy: exchange the clips" in line
+    assert line.endswith(".")
+    assert ".." not in line
