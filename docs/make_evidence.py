@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from eval.evidence import RESULTS
-from eval.whole import save_figure
+from eval.whole import save_figure, with_table
 from mocap.arrays import Array
 from mocap.view.plotting import LINE_COLOURS, LINE_STYLES, finish, new_figure
 
@@ -25,7 +25,6 @@ PAGE, KEYPOINTS_PAGE, PICTURE = (
     HERE / "keypoints.md",
     HERE / "pictures" / "evidence.png",
 )
-BEGIN, END = "<!-- {} -->\n", "<!-- end of {} -->"
 WORDS = {
     "triangulation": "plain triangulation",
     "keypoints": "keypoints alone",
@@ -158,9 +157,7 @@ def tables_of(page: Path) -> dict[str, str]:
 def written(page: str, tables: Mapping[str, str]) -> str:
     """A page with tables in their places."""
     for name, table in tables.items():
-        begin, end = BEGIN.format(name), END.format(name)
-        before, _, rest = page.partition(begin)
-        page = f"{before}{begin}{table}\n{end}{rest.partition(end)[2]}"
+        page = with_table(page, name, table)
     return page
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from eval.few_cameras import PAIRS_DEG
 from eval.session_tables import RESULTS
-from eval.whole import save_figure, write_text
+from eval.whole import save_figure, with_table, write_text
 from mocap.arrays import Array
 from mocap.body import Body, load_body_model, scale_body
 from mocap.data import Camera, CameraRig
@@ -28,7 +28,6 @@ from mocap.view.plotting import INK, LINE_COLOURS, finish, new_figure
 HERE = Path(__file__).parent
 PAGES = {"all": HERE / "few-cameras.md", "short": HERE.parent / "README.md"}
 PICTURE = HERE / "pictures" / "few-cameras.png"
-BEGIN, END = "<!-- few cameras -->\n", "<!-- end of few cameras -->"
 SESSIONS = {
     "walk": "a man walks about",
     "cross": "a man crosses the room, his shirt as grey as the wall",
@@ -85,12 +84,6 @@ def _cell(cell: Sequence[Row], which: str) -> str:
         return f"{np.mean(raw):.0f} mm, {share:.0f} %"
     span = f", {min(raw):.1f} to {max(raw):.1f}" if len(raw) > 1 else ""
     return f"{np.mean(raw):.1f} ({after:.1f}){span}; {share:.1f} %"
-
-
-def written(page: str, text: str) -> str:
-    """The page with a table in its place."""
-    before, _, rest = page.partition(BEGIN)
-    return f"{before}{BEGIN}{text}\n{END}{rest.partition(END)[2]}"
 
 
 def cameras_at(azimuths_deg: Sequence[float]) -> CameraRig:
@@ -186,7 +179,7 @@ def main() -> None:
     """Put the tables into the pages, foresee, draw."""
     found = rows()
     for which, page in PAGES.items():
-        write_text(page, written(page.read_text(encoding="utf-8"), table(found, which)))
+        write_text(page, with_table(page.read_text(encoding="utf-8"), "few cameras", table(found, which)))
     save_figure(draw(found), PICTURE)
 
 

@@ -21,11 +21,10 @@ Rows in WORK/accuracy are kept; --again makes them anew.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
-import sys
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -33,26 +32,21 @@ from typing import Any
 import numpy as np
 
 from eval.landmark_bias import SESSIONS
-from eval.pose_ablation import prepare, session_folder
+from eval.pose_ablation import poses_of, prepare, session_folder
 from eval.pose_sessions import DEV, ROOT
 from eval.triangulation import triangulated
-from eval.whole import write_csv, write_text
+from eval.whole import kept_rows, with_table, write_csv, write_text
 from mocap.arrays import Array
 from mocap.data import LANDMARKS, Motion
 from mocap.io.session import open_session
-from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv
 from mocap.metrics.points import OFFSET_FRAMES, offset_corrected, point_errors
 from mocap.metrics.smoothness import smoothness_scores
 from mocap.pipeline.config import load_config
-from mocap.pipeline.stage import Job
-from mocap.pipeline.stages.pose import estimate_poses
 from mocap.pose.result import motion_of
-from mocap.products.tracks import stored_tracks
 
 RESULTS = ROOT / "eval" / "results" / "accuracy.csv"
 PAGE = ROOT / "docs" / "accuracy.md"
-BEGIN, END = "<!-- accuracy -->\n", "<!-- end of accuracy -->"
 METHODS = ("network", "default", "best")
 MEASURES = (
     *("raw", "after_offset", "mmta_percent", "lost_wrist_percent", "shoulder", "hip"),
@@ -132,9 +126,7 @@ def of_preset(
 ) -> tuple[list[tuple[Motion, float | None]], float]:
     """Motions of a preset's poses, with the heights that were found, and the frame rate."""
     folder, out = prepare(name, work, trust_store=trust_store)
-    session, store = open_session(folder), StageStore(out / "store.zarr")
-    job = Job(session, load_config(preset), store, seed=seed)
-    poses = estimate_poses(job, stored_tracks(store, session.fps))
+    session, poses = poses_of(folder, out, load_config(preset), seed)
     return [(motion_of(p, session.fps), p.body.height_m) for p in poses], session.fps
 
 
@@ -158,7 +150,8 @@ def rows_of(name: str, method: str, seed: int, work: Path, *, trust_store: bool)
                 row |= measures(nearest, truth, fps)
                 if height_m is not None:
                     row["height_error"] = 1000.0 * (height_m - heights[k])
-        rows.append({f: f"{v:.1f}" if isinstance(v, float) else v for f, v in row.items()})
+        told = {f: f"{v:.1f}" if isinstance(v, float) else v for f, v in row.items()}
+        rows.append(dict.fromkeys(FIELDS, "") | told)
     return rows
 
 
@@ -193,12 +186,6 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def written(page: str, text: str) -> str:
-    """The page with the table in its place."""
-    before, _, rest = page.partition(BEGIN)
-    return f"{before}{BEGIN}{text}\n{END}{rest.partition(END)[2]}"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -216,23 +203,11 @@ def main() -> None:
         if method == "network" and seed > 0:
             continue
         kept = options.work / "accuracy" / f"{name.replace(':', '_')}_{method}_{seed}.csv"
-        if options.again or not kept.exists():
-            write_csv(
-                kept,
-                FIELDS,
-                [
-                    dict.fromkeys(FIELDS, "") | row
-                    for row in rows_of(name, method, seed, options.work, trust_store=options.trust_store)
-                ],
-            )
-        with kept.open(encoding="utf-8", newline="") as stream:
-            own = list(csv.DictReader(stream))
-        sys.stdout.write("\n".join(" ".join(f"{k}={v}" for k, v in row.items()) for row in own) + "\n")
-        sys.stdout.flush()
-        rows += own
+        make = partial(rows_of, name, method, seed, options.work, trust_store=options.trust_store)
+        rows += kept_rows(kept, FIELDS, make, again=options.again)
     if not options.only and options.methods == parser.get_default("methods"):
         write_csv(RESULTS, FIELDS, rows)
-        write_text(PAGE, written(PAGE.read_text(encoding="utf-8"), table(rows)))
+        write_text(PAGE, with_table(PAGE.read_text(encoding="utf-8"), "accuracy", table(rows)))
 
 
 if __name__ == "__main__":

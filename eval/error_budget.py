@@ -23,8 +23,7 @@ already are taken from there; --again makes them anew.
 from __future__ import annotations
 
 import argparse
-import csv
-import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -38,7 +37,7 @@ from eval.landmark_bias import SESSIONS, _running_mean
 from eval.pose_ablation import prepare
 from eval.pose_sessions import ROOT
 from eval.second_pass import evidence_of_rows, nearest
-from eval.whole import write_csv
+from eval.whole import kept_rows, write_csv
 from mocap.arrays import Array
 from mocap.body import Body, landmarks_of
 from mocap.body.kinematics import joint_transforms, point_jacobian
@@ -151,21 +150,30 @@ def row_of(work: PoseWork, one: FollowedPerson, true: Array, fps: float) -> dict
     }
 
 
-def rows_of(
+def followed_with_truth(
     name: str, preset: str, seed: int, work_folder: Path, *, trust_store: bool
-) -> list[dict[str, Any]]:
-    """A row per person of a session."""
+) -> Iterator[tuple[PoseWork, FollowedPerson, Array, float]]:
+    """The persons of a session as they are followed: the work on them, one of them, his true landmarks (T, 15, 3) m,
+    NaN = not known, and the frame rate."""
     folder, out = prepare(name, work_folder, trust_store=trust_store)
     session, store = open_session(folder), StageStore(out / "store.zarr")
     truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
     work = PoseWork(Job(session, load_config(preset), store, seed=seed))
-    rows = []
     for one in work.follow(stored_tracks(store, session.fps)):
         person = min(truth, key=lambda motion: nearest(one, motion.frames, motion.landmarks[:, 0]))
         true = np.full((len(one.frames), N, 3), np.nan)
         _, own, of_truth = np.intersect1d(one.frames, person.frames, return_indices=True)
         true[own] = person.landmarks[of_truth][:, :N]
-        row = row_of(work, one, true, session.fps)
+        yield work, one, true, session.fps
+
+
+def rows_of(
+    name: str, preset: str, seed: int, work_folder: Path, *, trust_store: bool
+) -> list[dict[str, Any]]:
+    """A row per person of a session."""
+    rows = []
+    for work, one, true, fps in followed_with_truth(name, preset, seed, work_folder, trust_store=trust_store):
+        row = row_of(work, one, true, fps)
         about = {"session": name, "person": one.person, "preset": preset}
         rows.append(about | {k: f"{v:.1f}" for k, v in row.items()})
     return rows
@@ -183,17 +191,13 @@ def main() -> None:
     parser.add_argument("--again", action="store_true", help="make rows anew")
     arguments = parser.parse_args()
     names = arguments.only.split(",") if arguments.only else SESSIONS
-    rows = []
+    rows: list[dict[str, str]] = []
     for name, preset in product(names, arguments.presets.split(",")):
         kept = arguments.work / "budget" / f"{name.replace(':', '_')}_{preset}_{arguments.seed}.csv"
-        if arguments.again or not kept.exists():
-            made = rows_of(name, preset, arguments.seed, arguments.work, trust_store=arguments.trust_store)
-            write_csv(kept, FIELDS, made)
-        with kept.open(encoding="utf-8", newline="") as stream:
-            own = list(csv.DictReader(stream))
-        sys.stdout.write("\n".join(" ".join(f"{k}={v}" for k, v in row.items()) for row in own) + "\n")
-        sys.stdout.flush()
-        rows += own
+        make = partial(
+            rows_of, name, preset, arguments.seed, arguments.work, trust_store=arguments.trust_store
+        )
+        rows += kept_rows(kept, FIELDS, make, again=arguments.again)
     if not arguments.only and arguments.presets == parser.get_default("presets"):
         write_csv(RESULTS, FIELDS, rows)
 

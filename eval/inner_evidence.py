@@ -23,20 +23,14 @@ import numpy as np
 
 from eval.accuracy import measures
 from eval.few_cameras import some_cameras
-from eval.pose_ablation import session_folder
+from eval.pose_ablation import poses_of, run_until_tracks, session_folder
 from eval.pose_sessions import ROOT
 from eval.whole import write_csv
 from mocap.data import LANDMARKS, Motion
-from mocap.io.session import open_session
-from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv
 from mocap.metrics.points import point_errors
 from mocap.pipeline.config import load_config
-from mocap.pipeline.run import run_session
-from mocap.pipeline.stage import Job
-from mocap.pipeline.stages.pose import estimate_poses
 from mocap.pose.result import motion_of
-from mocap.products.tracks import stored_tracks
 
 RESULTS = ROOT / "eval" / "results" / "inner_evidence.csv"
 SCENES = ("arms_bare", "arms_uniform", "arms_striped")
@@ -47,23 +41,23 @@ FOUR = ("cam_0", "cam_2", "cam_4", "cam_5")
 _ARMS = [k for k, name in enumerate(LANDMARKS) if name.endswith(("elbow", "wrist"))]
 
 
-def row_of(name: str, n_cameras: int, variant: str, seed: int, work: Path) -> dict[str, Any]:
-    """One run of the pose stage."""
+def prepared(name: str, n_cameras: int, work: Path) -> tuple[Path, Path]:
+    """Session folder and run folder of a scene before some cameras."""
     folder = session_folder(name, work)
     if n_cameras == len(FOUR):
         folder = some_cameras(folder, FOUR, work)
     out = work / "inner_evidence" / folder.name
-    config = load_config("default", ("output.formats=[]",))
-    run_session(folder, out, config=config, seed=0, resume=True, until="track")
-    session, store = open_session(folder), StageStore(out / "store.zarr")
-    preset, settings = VARIANTS[variant]
-    job = Job(session, load_config(preset, settings), store, seed=seed)
-    (poses,) = estimate_poses(job, stored_tracks(store, session.fps))
+    run_until_tracks(folder, out)
+    return folder, out
+
+
+def scores_of(folder: Path, out: Path, variant: str, seed: int) -> dict[str, Any]:
+    """One run of the pose stage."""
+    session, (poses,) = poses_of(folder, out, load_config(*VARIANTS[variant]), seed)
     (truth,) = read_landmarks_csv(folder / "truth" / "landmarks.csv")
     found = motion_of(poses, session.fps)
     row = measures(found, truth, session.fps) | {"arms": arms_mm(found, truth)}
-    about = {"session": name, "cameras": n_cameras, "variant": variant, "seed": seed}
-    return about | {score: round(row[score], 2) for score in SCORES}
+    return {"variant": variant, "seed": seed} | {score: round(row[score], 2) for score in SCORES}
 
 
 def arms_mm(found: Motion, truth: Motion) -> float:
@@ -81,12 +75,14 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval")
     options = parser.parse_args()
     rows = []
-    for name, n_cameras, variant in product(SCENES, (7, 4), VARIANTS):
-        own = [row_of(name, n_cameras, variant, seed, options.work) for seed in range(options.seeds)]
-        means = ", ".join(f"{score} {np.mean([row[score] for row in own]):.1f}" for score in SCORES)
-        sys.stdout.write(f"{name} {n_cameras} {variant}: {means}\n")
-        sys.stdout.flush()
-        rows += own
+    for name, n_cameras in product(SCENES, (7, 4)):
+        folder, out = prepared(name, n_cameras, options.work)
+        for variant in VARIANTS:
+            own = [scores_of(folder, out, variant, seed) for seed in range(options.seeds)]
+            means = ", ".join(f"{score} {np.mean([row[score] for row in own]):.1f}" for score in SCORES)
+            sys.stdout.write(f"{name} {n_cameras} {variant}: {means}\n")
+            sys.stdout.flush()
+            rows += [{"session": name, "cameras": n_cameras} | row for row in own]
     write_csv(RESULTS, FIELDS, rows)
 
 

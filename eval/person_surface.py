@@ -21,10 +21,10 @@ Poses are single frames, not smoothed. Writes eval/results/person_surface.csv, w
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -32,26 +32,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.error_budget import fitted_to
+from eval.error_budget import fitted_to, followed_with_truth
 from eval.landmark_bias import SESSIONS
-from eval.pose_ablation import prepare
 from eval.pose_sessions import ROOT
-from eval.second_pass import evidence_of_rows, nearest
-from eval.whole import write_csv
+from eval.second_pass import evidence_of_rows
+from eval.whole import kept_rows, write_csv
 from mocap.arrays import Array
 from mocap.body import Body, landmarks_of
 from mocap.body.stretch import segment_groups, stretch_body
 from mocap.data import LANDMARKS
-from mocap.io.session import open_session
-from mocap.io.store import StageStore
-from mocap.io.tables import read_landmarks_csv
 from mocap.metrics.points import offset_corrected, point_errors
-from mocap.pipeline.config import load_config
-from mocap.pipeline.stage import Job
-from mocap.pipeline.stages.pose import PoseWork
 from mocap.pose.result import FollowedPerson
 from mocap.pose.volume import VolumeEvidence
-from mocap.products.tracks import stored_tracks
 
 RESULTS = ROOT / "eval" / "results" / "person_surface.csv"
 FIELDS = (
@@ -181,16 +173,10 @@ def rows_of_person(
 
 def rows_of(name: str, seed: int, work_folder: Path, *, trust_store: bool) -> list[dict[str, Any]]:
     """Rows of a session."""
-    folder, out = prepare(name, work_folder, trust_store=trust_store)
-    session, store = open_session(folder), StageStore(out / "store.zarr")
-    truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
-    work = PoseWork(Job(session, load_config("default"), store, seed=seed))
     rows = []
-    for one in work.follow(stored_tracks(store, session.fps)):
-        person = min(truth, key=lambda motion: nearest(one, motion.frames, motion.landmarks[:, 0]))
-        true = np.full((len(one.frames), N, 3), np.nan)
-        _, own, of_truth = np.intersect1d(one.frames, person.frames, return_indices=True)
-        true[own] = person.landmarks[of_truth][:, :N]
+    for work, one, true, _ in followed_with_truth(
+        name, "default", seed, work_folder, trust_store=trust_store
+    ):
         for row in rows_of_person(one, evidence_of_rows(work, one), true):
             about = {"session": name, "person": one.person, "seed": seed}
             rows.append(about | {k: f"{v:.1f}" if isinstance(v, float) else v for k, v in row.items()})
@@ -221,13 +207,8 @@ def main() -> None:
     rows: list[dict[str, str]] = []
     for name, seed in product(names, range(options.seeds)):
         kept = options.work / "person_surface" / f"{name.replace(':', '_')}_{seed}.csv"
-        if options.again or not kept.exists():
-            write_csv(kept, FIELDS, rows_of(name, seed, options.work, trust_store=options.trust_store))
-        with kept.open(encoding="utf-8", newline="") as stream:
-            own = list(csv.DictReader(stream))
-        sys.stdout.write("\n".join(" ".join(f"{k}={v}" for k, v in row.items()) for row in own) + "\n")
-        sys.stdout.flush()
-        rows += own
+        make = partial(rows_of, name, seed, options.work, trust_store=options.trust_store)
+        rows += kept_rows(kept, FIELDS, make, again=options.again)
     sys.stdout.write(summary(rows) + "\n")
     if not options.only:
         write_csv(RESULTS, FIELDS, rows)

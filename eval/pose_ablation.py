@@ -14,10 +14,15 @@ import csv
 import statistics
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eval.pose_sessions import DEV, ROOT
 from eval.whole import write_csv
+
+if TYPE_CHECKING:
+    from mocap.io.session import Session
+    from mocap.pipeline.config import Config
+    from mocap.pose.result import PersonPoses
 
 RESULTS = ROOT / "eval" / "results" / "pose_ablation.csv"
 SCENES = ("walk", "box", "gesture")
@@ -56,34 +61,43 @@ def session_folder(name: str, work: Path) -> Path:
 
 def prepare(name: str, work: Path, *, trust_store: bool) -> tuple[Path, Path]:
     """Session folder and run folder with masks, volumes and tracks in its store."""
+    folder = session_folder(name, work)
+    out = work / "ablation" / name.replace(":", "_")
+    if not (trust_store and (out / "store.zarr").exists()):
+        run_until_tracks(folder, out)
+    return folder, out
+
+
+def run_until_tracks(folder: Path, out: Path) -> None:
+    """Masks, volumes and tracks of a session into a run folder, as far as they are not there."""
     from mocap.pipeline.config import load_config
     from mocap.pipeline.run import run_session
 
-    folder = session_folder(name, work)
-    out = work / "ablation" / name.replace(":", "_")
-    if trust_store and (out / "store.zarr").exists():
-        return folder, out
     config = load_config("default", ("output.formats=[]",))
     run_session(folder, out, config=config, seed=0, resume=True, until="track")
-    return folder, out
+
+
+def poses_of(folder: Path, out: Path, config: Config, seed: int) -> tuple[Session, list[PersonPoses]]:
+    """The pose stage alone, on what `prepare` has put into the run folder."""
+    from mocap.io.session import open_session
+    from mocap.io.store import StageStore
+    from mocap.pipeline.stage import Job
+    from mocap.pipeline.stages.pose import estimate_poses
+    from mocap.products.tracks import stored_tracks
+
+    session, store = open_session(folder), StageStore(out / "store.zarr")
+    return session, estimate_poses(Job(session, config, store, seed=seed), stored_tracks(store, session.fps))
 
 
 def measure(folder: Path, out: Path, settings: tuple[str, ...], seed: int) -> dict[str, Any]:
     """Scores of one variant and seed."""
     from mocap.compare import evaluate
-    from mocap.io.session import open_session
-    from mocap.io.store import StageStore
     from mocap.io.tables import read_landmarks_csv
     from mocap.pipeline.config import load_config
-    from mocap.pipeline.stage import Job
-    from mocap.pipeline.stages.pose import estimate_poses
     from mocap.pose.result import motion_of
-    from mocap.products.tracks import stored_tracks
 
-    session, store = open_session(folder), StageStore(out / "store.zarr")
     started = time.perf_counter()
-    job = Job(session, load_config("default", settings), store, seed=seed)
-    poses = estimate_poses(job, stored_tracks(store, session.fps))
+    session, poses = poses_of(folder, out, load_config("default", settings), seed)
     seconds = time.perf_counter() - started
     truth = read_landmarks_csv(folder / "truth" / "landmarks.csv")
     scores = evaluate(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,26 @@ def write_text(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def kept_rows(
+    path: Path, fields: Sequence[str], make: Callable[[], Iterable[Mapping[str, Any]]], *, again: bool
+) -> list[dict[str, str]]:
+    """Rows of an earlier call, or new ones, which are kept and told.  again : make them anew."""
+    if again or not path.exists():
+        write_csv(path, fields, make())
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    sys.stdout.write("\n".join(" ".join(f"{k}={v}" for k, v in row.items()) for row in rows) + "\n")
+    sys.stdout.flush()
+    return rows
+
+
+def with_table(page: str, name: str, table: str) -> str:
+    """A page with a table in its place, which is between `<!-- name -->` and `<!-- end of name -->`."""
+    begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+    before, _, rest = page.partition(begin)
+    return f"{before}{begin}{table}\n{end}{rest.partition(end)[2]}"
 
 
 def save_figure(figure: Figure, path: Path, *, dpi: float | None = None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,14 +156,14 @@ def _box_by_default(value: Any) -> Any:
     return {"kind": "box", **value} if isinstance(value, dict) else value
 
 
+AnyFurniture = Box | Table | Chair | Stairs
 Furniture: TypeAlias = Annotated[
-    Annotated[Box | Table | Chair | Stairs, Field(discriminator="kind")], BeforeValidator(_box_by_default)
+    Annotated[AnyFurniture, Field(discriminator="kind")], BeforeValidator(_box_by_default)
 ]
+KINDS = tuple(k for f in get_args(AnyFurniture) for k in get_args(f.model_fields["kind"].annotation))
 
-KINDS = ("box", "table", "chair")
 
-
-def furniture_boxes(pieces: tuple[Box | Table | Chair | Stairs, ...]) -> tuple[Array, Array]:
+def furniture_boxes(pieces: tuple[AnyFurniture, ...]) -> tuple[Array, Array]:
     """Corners (B, 8, 3) m of all boxes of all pieces, and the tint (B, 3) of each box."""
     boxes = [piece.boxes() for piece in pieces]
     tints = [np.tile(piece.tint, (len(b), 1)) for piece, b in zip(pieces, boxes, strict=True)]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from eval import accuracy, body_size, inner_evidence, person_surface
+from eval.whole import with_table
 from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.data import LANDMARKS, Motion
 
@@ -68,7 +69,7 @@ def test_the_page_says_what_the_table_says() -> None:
         rows = list(csv.DictReader(stream))
     page = accuracy.PAGE.read_text(encoding="utf-8")
     assert {row["method"] for row in rows} == set(accuracy.METHODS)
-    assert accuracy.written(page, accuracy.table(rows)) == page
+    assert with_table(page, "accuracy", accuracy.table(rows)) == page
 
 
 def test_the_page_of_bodies_says_what_the_table_of_sizes_says() -> None:

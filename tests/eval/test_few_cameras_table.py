@@ -10,6 +10,7 @@ from marker_world import ring
 
 from docs import make_few_cameras
 from eval.few_cameras import camera_sets, some_cameras
+from eval.whole import with_table
 
 
 @pytest.mark.parametrize("which", make_few_cameras.PAGES)
@@ -17,7 +18,7 @@ def test_the_pages_say_what_the_tables_say(which: str) -> None:
     page = make_few_cameras.PAGES[which].read_text(encoding="utf-8")
     text = make_few_cameras.table(make_few_cameras.rows(), which)
     assert len(text.splitlines()) == 2 + (4 if which == "short" else 8)
-    assert make_few_cameras.written(page, text) == page
+    assert with_table(page, "few cameras", text) == page
 
 
 def row(session: str, n: int, places: str, seed: int, raw: float) -> dict[str, str]:
