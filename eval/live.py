@@ -24,6 +24,7 @@ import numpy as np
 
 from eval.pose_sessions import ROOT
 from eval.whole import write_csv
+from mocap.data import LANDMARKS
 
 RESULTS = ROOT / "eval" / "results" / "live.csv"
 FIELDS = (
@@ -87,7 +88,8 @@ class Errors:
                 self.first_pose_s = result.time_s - self._began_s
             row = result.frame % self._n
             truth = [t.landmarks[row] for t in self._truth if row < len(t.landmarks)]
-            distances = [np.linalg.norm(person.pose.landmarks - t, axis=1).mean() for t in truth]
+            found = person.pose.landmarks[: len(LANDMARKS)]
+            distances = [np.linalg.norm(found - t[: len(LANDMARKS)], axis=1).mean() for t in truth]
             self.errors_mm.append(1000 * float(min(distances)))
         if self.first_pose_s is not None:
             self.latencies_s.append(result.latency_s)

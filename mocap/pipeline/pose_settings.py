@@ -101,6 +101,7 @@ def pose_settings(pose: PoseConfig, method: Method, layout: StateLayout) -> Pose
         texture_weight=pose.texture_weight,
         feedback_share=pose.feedback_share,
         look_again=pose.look_again,
+        search_every_frames=pose.search_every_frames,
         repair=pose.repair,
         jump_nats=pose.jump_nats,
         estimate=pose.estimate,

@@ -54,7 +54,7 @@ class PersonTools:
     def brisk(self, n_layers: int, n_particles: int, stride: int = 1, **settings: Any) -> Self:
         """The tools for a brief look at every `stride`-th frame: fewer particles, no search for what is lost."""
         budget = replace(self.settings.filter, n_layers=n_layers, n_particles=n_particles)
-        brief = replace(self.settings, filter=budget, look_again=False, **settings)
+        brief = replace(self.settings, filter=budget, look_again=False, search_every_frames=1, **settings)
         return replace(self, fps=self.fps / stride, settings=brief)
 
 

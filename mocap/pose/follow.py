@@ -20,6 +20,7 @@ from mocap.body import Body, landmarks_of
 from mocap.body.average import mean_state
 from mocap.filters import FILTERS, FilterInfo, ParticleState, initial_particles
 from mocap.forks import can_fork, forked
+from mocap.geometry.rigid import wrap_angle
 from mocap.pose.deviation import FrameSeries, fit_covariance
 from mocap.pose.evidence import FrameEvidence, PersonClip, PersonTools, WholeBodyEvidence
 from mocap.pose.limb_search import LimbSchedule, search_limbs
@@ -270,6 +271,8 @@ class OnePose:
         # What the next frame needs.
         self._particles: ParticleState | None = None
         self._estimate = first
+        self._before: Array | None = None  # the pose of the frame before that
+        self._n_since_search = 0
         self._xyz = self._place_at(first_row)
         self._last_row: int | None = None
         self._blind_std, self._n_blind = 0.0, 0
@@ -318,6 +321,7 @@ class OnePose:
         n_away = 0 if last is None else abs(int(frames[row] - frames[last])) - abs(row - last)
         self._last_row = row
         self._previous = None if self._blind_std > 0 or n_away > 0 else self._estimate
+        self._came_from = None if last is None else self._previous
         gone_frames = max(2, round(self.settings.method.follow.gone_s * self.tools.fps))
         self._has_returned = self._n_blind + n_away >= gone_frames
         self._blind_std, self._n_blind = 0.0, 0
@@ -327,9 +331,23 @@ class OnePose:
         carried[:3] += self._shift
         return [Candidate(carried)]
 
+    def _gone_on(self, carried: Candidates) -> Candidates:
+        """The carried pose, its joints turned on as they turned before; not as far as only one turns that was found."""
+        (now,), body = carried, self.tools.body
+        if self._before is None:
+            return carried
+        turn = self._estimate - self._before
+        turn = np.where(body.layout.is_circular, wrap_angle(turn), turn)
+        turn[:3] = 0.0  # the track says where the person has gone
+        turn[np.abs(turn) > body.max_speed / self.tools.fps] = 0.0
+        return [Candidate(np.clip(now.state + turn, body.layout.lower, body.layout.upper))]
+
     def propose(self, carried: Candidates, rng: np.random.Generator) -> Candidates:
-        """The filter's estimate first, then the carried pose."""
+        """The filter's estimate first, then the carried pose; between two searches the carried pose gone on."""
         problem = self._evidence.search
+        can_wait = bool(carried) and self.settings.refine and self._particles is not None
+        is_between = can_wait and self._n_since_search + 1 < self.settings.search_every_frames
+        self._n_since_search = self._n_since_search + 1 if is_between else 0
         if self._particles is None:
             self._particles = initial_particles(problem, self._estimate, self._filter.n_particles)
         particles = self._particles
@@ -337,6 +355,9 @@ class OnePose:
             moved = particles.particles.copy()
             moved[:, :3] += self._shift
             particles = replace(particles, particles=moved)
+        if is_between:
+            self._particles = particles
+            return self._gone_on(carried)
         self._particles, self._info = self._step(problem, particles, self._filter, rng=rng)
         estimate = point_estimate(self.tools.body, self._particles, self._info, self.settings.estimate)
         self._spread = _landmark_spread(self.tools.body, self._particles, estimate)
@@ -356,10 +377,11 @@ class OnePose:
         return [replace(refined[best], value=float(values[best]))]
 
     def search_limbs(self, judged: Candidates, rng: np.random.Generator) -> Candidates:
-        """The pose with lost limbs found, where that raises the evidence."""
-        if not self.settings.look_again:
-            return judged
+        """The pose with lost limbs found, where that raises the evidence; between two searches only where it fell."""
         (now,) = judged
+        can_wait = self._n_since_search > 0 and not self._limbs.has_fallen(now.value)
+        if can_wait or not self.settings.look_again:
+            return judged
         look_at = self._limbs.due(now.value, self._evidence.limb_misfits(now.state))
         found = search_limbs(
             self._evidence,
@@ -432,7 +454,7 @@ class OnePose:
         """Feed the pose back into the particles and learn what it shows."""
         (now,) = settled
         assert self._particles is not None
-        self._estimate = now.state
+        self._before, self._estimate = self._came_from, now.state
         if self.settings.refine or self.settings.look_again:
             self._particles = _fed_back(self._particles, now.state, self.settings.feedback_share)
         self.clip.observation.learn(self._evidence, now.state)

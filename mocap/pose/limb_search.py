@@ -34,6 +34,10 @@ class LimbSchedule:
     _turn: int = 0
     _usual: float = float("nan")
 
+    def has_fallen(self, value: float) -> bool:
+        """Whether the evidence of a frame's pose lies far below the usual, nats."""
+        return value < self._usual - self.settings.fallen_nats
+
     def due(self, value: float, misfit: dict[int, float]) -> tuple[int, ...]:
         """Limbs to search for in this frame, by their first part.
 
@@ -44,7 +48,7 @@ class LimbSchedule:
         self._turn -= 1
         for limb in misfit:
             self._age[limb] = self._age.get(limb, 0) + 1
-        has_fallen = value < self._usual - numbers.fallen_nats
+        has_fallen = self.has_fallen(value)
         change = numbers.usual_rate * (value - self._usual)
         self._usual = value if np.isnan(self._usual) else self._usual + change
         if has_fallen and self._wait <= 0:

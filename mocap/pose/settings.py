@@ -26,6 +26,7 @@ class PoseSettings:
     texture_weight: float = 0.0
     feedback_share: float = 0.5
     look_again: bool = True
+    search_every_frames: int = 1
     repair: bool = True
     jump_nats: float = 0.0
     estimate: str = "mean"

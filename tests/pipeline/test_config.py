@@ -27,7 +27,10 @@ def test_presets_say_what_they_are_for() -> None:
     assert not reference.refine
     assert not reference.look_again
     assert load_config("thesis_body").body.model == "thesis"
-    assert load_config("realtime").pose.n_particles <= load_config().pose.n_particles
+    quick = load_config("realtime")
+    assert quick.pose.search_every_frames > 1 == load_config().pose.search_every_frames
+    settings = (f"pose.search_every_frames={quick.pose.search_every_frames}", "output.formats=report")
+    assert load_config("default", settings) == quick  # and nothing else
 
 
 def test_table_6_2_is_the_default() -> None:
