@@ -82,6 +82,43 @@ def answering(
     raised here. Large arrays of answers lie in memory that both share, until nobody looks at them here any more. Raises
     ChildProcessError when the process is gone.
     """
+    with _served(serve) as (tell, heard):
+
+        def ask(question: Question) -> Answer:
+            tell(question)
+            return heard()
+
+        yield ask
+
+
+@contextmanager
+def begun(job: Callable[[], R], n_processes: int) -> Iterator[Callable[[], R]]:
+    """A job that a forked process does while the body of the `with` statement runs in this one; gives what waits for
+    the result, which must be something that can be sent.
+
+    With one process, where none can be forked, or when it is killed, the job is done when it is waited for. Leaving
+    waits for the end.
+    """
+    if n_processes < 2 or not can_fork():
+        yield job
+        return
+    with _served(lambda: nullcontext(lambda _: job())) as (tell, heard):
+        tell(None)
+
+        def result() -> R:
+            try:
+                return heard()
+            except ChildProcessError:
+                return job()
+
+        yield result
+
+
+@contextmanager
+def _served(
+    serve: Callable[[], AbstractContextManager[Callable[[Question], Answer]]],
+) -> Iterator[tuple[Callable[[Question], None], Callable[[], Answer]]]:
+    """`answering`, with what tells the process a question and what waits for the answer apart from each other."""
     here, there = Pipe()
     shelf = _Shelf()
     process = _fork()
@@ -90,6 +127,10 @@ def answering(
         register(np.ndarray, shelf.put)
         _serve(serve, there, shelf)
     there.close()
+
+    def tell(question: Question) -> None:
+        with suppress(OSError):  # heard() says why
+            here.send(question)
 
     def heard() -> Any:
         try:
@@ -100,15 +141,9 @@ def answering(
             raise value
         return value
 
-    def ask(question: Question) -> Answer:
-        with suppress(OSError):  # heard() says why
-            here.send(question)
-        answer: Answer = heard()
-        return answer
-
     try:
         heard()  # it is ready
-        yield ask
+        yield tell, heard
     finally:
         here.close()
         os.waitpid(process, 0)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from mocap.errors import MocapError
-from mocap.forks import answering, can_fork, forked, in_processes, shared_zeros
+from mocap.forks import answering, begun, can_fork, forked, in_processes, shared_zeros
 
 pytestmark = pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
 Tick = Callable[[int], None]
@@ -108,6 +108,53 @@ def test_an_error_here_ends_the_other_process() -> None:
     assert time.monotonic() - started < 30.0
     with pytest.raises(ProcessLookupError):
         os.kill(int(shared[0]), 0)
+
+
+def test_a_job_is_begun_before_its_result_is_waited_for() -> None:
+    is_done, here = shared_zeros((1,)), os.getpid()
+
+    def job() -> tuple[str, int]:
+        is_done[0] = 1.0
+        return "found", os.getpid()
+
+    with begun(job, 2) as result:
+        while not is_done[0]:  # ends only if the job is done meanwhile
+            time.sleep(0.001)
+        found, process = result()
+    assert found == "found"
+    assert process != here
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
+
+
+def test_with_one_process_a_job_is_done_when_it_is_waited_for() -> None:
+    done = []
+    with begun(lambda: done.append(os.getpid()) or 7, 1) as result:  # type: ignore[func-returns-value]
+        assert done == []
+        assert result() == 7
+    assert done == [os.getpid()]
+
+
+def test_a_begun_job_whose_process_is_killed_is_done_here() -> None:
+    here = os.getpid()
+
+    def job() -> int:
+        if os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return os.getpid()
+
+    with begun(job, 2) as result:
+        assert result() == here
+
+
+def test_the_error_of_a_begun_job_is_raised_where_it_is_waited_for() -> None:
+    def job() -> None:
+        raise MocapError("no report", remedy="another")
+
+    with begun(job, 2) as result:
+        time.sleep(0.01)
+        with pytest.raises(MocapError, match="no report"):
+            result()
 
 
 def test_several_processes_work_at_once_and_results_have_the_order_of_the_items() -> None:
