@@ -8,8 +8,9 @@ import signal
 import sys
 import warnings
 import weakref
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import register
@@ -21,6 +22,8 @@ from numpy.typing import DTypeLike, NDArray
 
 # A job, given a function that is told of every step that is done.
 Job = Callable[[Callable[[int], None]], None]
+T = TypeVar("T")
+R = TypeVar("R")
 Question = TypeVar("Question")
 Answer = TypeVar("Answer")
 
@@ -79,6 +82,43 @@ def answering(
     raised here. Large arrays of answers lie in memory that both share, until nobody looks at them here any more. Raises
     ChildProcessError when the process is gone.
     """
+    with _served(serve) as (tell, heard):
+
+        def ask(question: Question) -> Answer:
+            tell(question)
+            return heard()
+
+        yield ask
+
+
+@contextmanager
+def begun(job: Callable[[], R], n_processes: int) -> Iterator[Callable[[], R]]:
+    """A job that a forked process does while the body of the `with` statement runs in this one; gives what waits for
+    the result, which must be something that can be sent.
+
+    With one process, where none can be forked, or when it is killed, the job is done when it is waited for. Leaving
+    waits for the end.
+    """
+    if n_processes < 2 or not can_fork():
+        yield job
+        return
+    with _served(lambda: nullcontext(lambda _: job())) as (tell, heard):
+        tell(None)
+
+        def result() -> R:
+            try:
+                return heard()
+            except ChildProcessError:
+                return job()
+
+        yield result
+
+
+@contextmanager
+def _served(
+    serve: Callable[[], AbstractContextManager[Callable[[Question], Answer]]],
+) -> Iterator[tuple[Callable[[Question], None], Callable[[], Answer]]]:
+    """`answering`, with what tells the process a question and what waits for the answer apart from each other."""
     here, there = Pipe()
     shelf = _Shelf()
     process = _fork()
@@ -87,6 +127,10 @@ def answering(
         register(np.ndarray, shelf.put)
         _serve(serve, there, shelf)
     there.close()
+
+    def tell(question: Question) -> None:
+        with suppress(OSError):  # heard() says why
+            here.send(question)
 
     def heard() -> Any:
         try:
@@ -97,18 +141,51 @@ def answering(
             raise value
         return value
 
-    def ask(question: Question) -> Answer:
-        with suppress(OSError):  # heard() says why
-            here.send(question)
-        answer: Answer = heard()
-        return answer
-
     try:
         heard()  # it is ready
-        yield ask
+        yield tell, heard
     finally:
         here.close()
         os.waitpid(process, 0)
+
+
+def in_processes(job: Callable[[T], R], items: Sequence[T], n_processes: int) -> list[R]:
+    """job(item) of every item, in their order, by up to n_processes processes, of which this one is one.
+
+    All that is left of a job is what it gives, which must be something that can be sent. Who is free takes the next
+    item; what a process was at that is killed is done here. Raises what a job raises. With one process, or where none
+    can be forked, the jobs are done in turn. Call it where no other thread is at work: what that holds while processes
+    are forked, a lock for instance, nobody there releases.
+    """
+    n_others = min(n_processes, len(items)) - 1
+    if n_others < 1 or not can_fork():
+        return [job(item) for item in items]
+    coming = iter(range(len(items)))  # its next() is one step of the interpreter
+
+    def here(k: int) -> R:
+        return job(items[k])
+
+    def found_by(worker: Callable[[int], R]) -> dict[int, R]:
+        found = {}
+        try:
+            for k in coming:
+                found[k] = worker(k)
+        except ChildProcessError:
+            pass  # what it was at is done below
+        except BaseException:
+            list(coming)  # nobody begins another one
+            raise
+        return found
+
+    with ExitStack() as stack:
+        others = [stack.enter_context(answering(lambda: nullcontext(here))) for _ in range(n_others)]
+        # Its threads have heard the last answer before the processes are left.
+        threads = stack.enter_context(ThreadPoolExecutor(n_others))
+        parts = [threads.submit(found_by, ask) for ask in others]
+        found = found_by(here)
+        for part in parts:
+            found |= part.result()
+    return [found[k] if k in found else job(items[k]) for k in range(len(items))]
 
 
 class _Shelf:

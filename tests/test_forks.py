@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from mocap.errors import MocapError
-from mocap.forks import answering, can_fork, forked, shared_zeros
+from mocap.forks import answering, begun, can_fork, forked, in_processes, shared_zeros
 
 pytestmark = pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
 Tick = Callable[[int], None]
@@ -108,6 +108,128 @@ def test_an_error_here_ends_the_other_process() -> None:
     assert time.monotonic() - started < 30.0
     with pytest.raises(ProcessLookupError):
         os.kill(int(shared[0]), 0)
+
+
+def test_a_job_is_begun_before_its_result_is_waited_for() -> None:
+    is_done, here = shared_zeros((1,)), os.getpid()
+
+    def job() -> tuple[str, int]:
+        is_done[0] = 1.0
+        return "found", os.getpid()
+
+    with begun(job, 2) as result:
+        while not is_done[0]:  # ends only if the job is done meanwhile
+            time.sleep(0.001)
+        found, process = result()
+    assert found == "found"
+    assert process != here
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
+
+
+def test_with_one_process_a_job_is_done_when_it_is_waited_for() -> None:
+    done = []
+    with begun(lambda: done.append(os.getpid()) or 7, 1) as result:  # type: ignore[func-returns-value]
+        assert done == []
+        assert result() == 7
+    assert done == [os.getpid()]
+
+
+def test_a_begun_job_whose_process_is_killed_is_done_here() -> None:
+    here = os.getpid()
+
+    def job() -> int:
+        if os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return os.getpid()
+
+    with begun(job, 2) as result:
+        assert result() == here
+
+
+def test_the_error_of_a_begun_job_is_raised_where_it_is_waited_for() -> None:
+    def job() -> None:
+        raise MocapError("no report", remedy="another")
+
+    with begun(job, 2) as result:
+        time.sleep(0.01)
+        with pytest.raises(MocapError, match="no report"):
+            result()
+
+
+def test_several_processes_work_at_once_and_results_have_the_order_of_the_items() -> None:
+    begun = shared_zeros((3,))
+
+    def job(k: int) -> tuple[int, int]:
+        begun[min(k, 2)] = 1.0
+        while not begun.all():  # ends only if three of them work at once
+            time.sleep(0.001)
+        return 10 * k, os.getpid()
+
+    found = in_processes(job, [0, 1, 2, 3, 4], 3)
+    assert [value for value, _ in found] == [0, 10, 20, 30, 40]
+    by = [process for _, process in found]
+    assert len(set(by)) == len(set(by[:3])) == 3
+    assert os.getpid() in by
+    for process in set(by) - {os.getpid()}:
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
+
+
+@pytest.mark.parametrize(("n_items", "n_processes"), [(0, 3), (1, 3), (4, 1)])
+def test_nothing_is_forked_for_one_process(n_items: int, n_processes: int) -> None:
+    found = in_processes(lambda k: (k, os.getpid()), range(n_items), n_processes)
+    assert found == [(k, os.getpid()) for k in range(n_items)]
+
+
+def test_no_more_processes_than_items(monkeypatch: pytest.MonkeyPatch) -> None:
+    forks = []
+    fork = os.fork
+    monkeypatch.setattr(os, "fork", lambda: forks.append(1) or fork())  # type: ignore[func-returns-value]
+    assert in_processes(lambda k: k, range(3), 7) == [0, 1, 2]
+    assert len(forks) == 2
+
+
+def test_what_a_killed_process_was_at_is_done_here() -> None:
+    here, killed = os.getpid(), shared_zeros((1,))
+
+    def job(k: int) -> tuple[int, int]:
+        while os.getpid() == here and not killed[0]:
+            time.sleep(0.001)
+        if os.getpid() != here:
+            killed[0] = k
+            os.kill(os.getpid(), signal.SIGKILL)
+        return k, os.getpid()
+
+    assert in_processes(job, [1, 2, 3, 4], 2) == [(k, here) for k in (1, 2, 3, 4)]
+    assert killed[0]
+
+
+@pytest.mark.parametrize("is_here", [False, True])
+def test_an_error_of_one_item_is_raised_and_nobody_begins_another(is_here: bool) -> None:
+    here, n_begun = os.getpid(), shared_zeros((100,))
+
+    def job(k: int) -> None:
+        n_begun[k] = 1.0
+        if (os.getpid() == here) == is_here:
+            raise MocapError("no pose", remedy="another", frame=k)
+        time.sleep(0.02)
+
+    with pytest.raises(MocapError, match="no pose"):
+        in_processes(job, range(100), 2)
+    assert n_begun.sum() < 50
+
+
+def test_what_cannot_be_sent_is_said() -> None:
+    """And not made again here, where nobody would notice that it was made in vain."""
+    here = os.getpid()
+
+    def job(k: int) -> object:
+        time.sleep(0.02)
+        return k if os.getpid() == here else (lambda: k)
+
+    with pytest.raises((AttributeError, TypeError), match="pickle"):
+        in_processes(job, range(10), 2)
 
 
 @contextmanager

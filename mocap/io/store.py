@@ -275,13 +275,11 @@ class StageReader:
             self.attrs: dict[str, Any] = about["attrs"]
             self.key: str = about["key"]
             self.names: tuple[str, ...] = tuple(about["arrays"])
-            group: Any = zarr.open_group(path, mode="r")
-            self.frames: NDArray[np.int64] = np.asarray(group["frames"][:], dtype=np.int64)
-            self._columns = {
-                name: _ColumnReader(group[name], name, files, len(self.frames)) for name in self.names
-            }
+            self._group: Any = zarr.open_group(path, mode="r")
+            self.frames: NDArray[np.int64] = np.asarray(self._group["frames"][:], dtype=np.int64)
         except (OSError, KeyError, ValueError) as error:
             raise files.damaged(str(error)) from error
+        self._files, self._columns = files, dict[str, _ColumnReader]()
         self._row = {int(f): i for i, f in enumerate(self.frames)}
 
     def __len__(self) -> int:
@@ -292,7 +290,7 @@ class StageReader:
         if frame not in self._row:
             raise KeyError(f"frame {frame} is not in the product, which has {len(self.frames)} frames")
         i = self._row[frame]
-        return {name: self._columns[name].read(i) for name in names or self.names}
+        return {name: self._column(name).read(i) for name in names or self.names}
 
     def rows(self, *names: str) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
         """Frames in order with the arrays of some names; what is not named is neither decoded nor checked."""
@@ -301,10 +299,20 @@ class StageReader:
 
     def lengths(self, name: str) -> NDArray[np.int64]:
         """How many rows an array has in every frame, (n,)."""
-        return self._columns[name].lengths
+        return self._column(name).lengths
 
     def __iter__(self) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
         return self.rows()
+
+    def _column(self, name: str) -> _ColumnReader:
+        """Opened when it is asked for: that takes longer than all else here, and many want the attributes alone."""
+        if name not in self._columns:
+            try:
+                column = _ColumnReader(self._group[name], name, self._files, len(self.frames))
+            except (OSError, ValueError) as error:
+                raise self._files.damaged(str(error)) from error
+            self._columns[name] = column
+        return self._columns[name]
 
 
 class _Files:

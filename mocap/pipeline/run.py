@@ -16,7 +16,7 @@ from typing import Any
 from mocap.compare import score_run
 from mocap.compiling import compilation_shown
 from mocap.errors import MocapError
-from mocap.forks import answering, can_fork
+from mocap.forks import answering, begun, can_fork
 from mocap.io._files import atomic_text
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
@@ -44,7 +44,7 @@ from mocap.pipeline.record import (
 )
 from mocap.pipeline.report_data import gather_report, write_run_report
 from mocap.pipeline.resolution import at_useful_size
-from mocap.pipeline.stage import Job, StageReport, is_done
+from mocap.pipeline.stage import Job, Stage, StageReport, is_done
 from mocap.pipeline.walk import run_together, walks
 from mocap.portable import peak_memory_mb
 from mocap.products import hulls as hulls_product
@@ -136,10 +136,20 @@ def _steps(
     stages = stages_until(kind, until)
     is_reused = {s.name: resume and is_done(s, job.store, keys[s.name]) for s in stages}
     walls_s: dict[str, float] = {}
-    for together in walks([stage for stage in stages if not is_reused[stage.name]]):
+
+    def reports(some: Sequence[Stage]) -> list[StageReport]:
+        return [stage.report(jobs[stage.name]) for stage in some]
+
+    *first, last = [*walks([stage for stage in stages if not is_reused[stage.name]])] or [()]
+    for together in first:
         walls_s |= run_together([(stage, jobs[stage.name]) for stage in together])
-    for stage in stages:
-        report = stage.report(jobs[stage.name])
+    n_done = stages.index(last[0]) if last else 0
+    # Beside the last walk: following people leaves processors idle while their first poses are looked for.
+    with begun(lambda: reports(stages[:n_done]), job.n_threads if n_done else 1) as early:
+        if last:
+            walls_s |= run_together([(stage, jobs[stage.name]) for stage in last])
+        every = [*early(), *reports(stages[n_done:])]
+    for stage, report in zip(stages, every, strict=True):
         yield StageRecord(stage.name, keys[stage.name], walls_s.get(stage.name), report.numbers), report
 
 

@@ -219,7 +219,7 @@ def follow_both_ways(
     """
     n_threads, tick = clip.observation.tools.n_threads, progress or (lambda n: None)
     start = int(np.searchsorted(clip.frames, first.frame))
-    later, earlier = (_on_threads(clip, max(1, n_threads // 2)) for _ in range(2))
+    later, earlier = (on_threads(clip, max(1, n_threads // 2)) for _ in range(2))
     (name, onwards), (name_back, back) = both_ways(len(clip), start)
 
     def follow_way(own: PersonClip, name: str, order: range, tick: Callable[[int], None]) -> None:
@@ -238,7 +238,7 @@ def follow_both_ways(
     return later
 
 
-def _on_threads(clip: PersonClip, n_threads: int) -> PersonClip:
+def on_threads(clip: PersonClip, n_threads: int) -> PersonClip:
     """The same clip for somebody who follows it on so many threads: what its observation learns is his own."""
     observation: Any = clip.observation  # a data class, whatever it observes
     tools = replace(observation.tools, n_threads=n_threads)

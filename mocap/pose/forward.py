@@ -61,8 +61,8 @@ class KnownPerson:
 class ForwardPerson:
     """One person whom `see` is told of, frame by frame.
 
-    given_m : the height, None = it is measured.  tools_of : tools for a body of some height, m.
-    executor : looks for the first pose while frames go on.
+    given_m : the height, None = it is measured.  tools_of : tools for a body of some height, m; of one thread, unless
+    frames wait for the search: with more it forks.  executor : looks for the first pose while frames go on.
     """
 
     def __init__(

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate
+from mocap.forks import in_processes
 from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
 from mocap.pose.evidence import FrameEvidence, PersonClip
-from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, unbroken
+from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, on_threads, unbroken
 from mocap.pose.limbs import in_doubt
 from mocap.pose.repair import EvidenceOf, repair_limbs
 from mocap.pose.result import FollowedPerson, PersonPoses, warnings_of_volumes
@@ -63,7 +65,10 @@ class Start:
 def start_person(
     clip: VolumeClip, height: HeightEstimate, *, seed: int, is_size_fitted: bool = False
 ) -> Start:
-    """First pose and size of one person; the arguments and errors are those of `follow_person`."""
+    """First pose and size of one person; the arguments and errors are those of `follow_person`.
+
+    With more threads than one it forks: see `in_processes` for where it may be called.
+    """
     tools, frames = clip.observation.tools, clip.frames
     usable = [i for i in range(len(clip)) if clip.observation.is_usable(int(frames[i]))]
     if not usable:
@@ -141,23 +146,42 @@ def choose_hypothesis(
     brisk = tools.brisk(numbers.trial_layers, numbers.trial_particles, stride, refine=True)
     quick = clip.with_tools(brisk)
     reach = round(numbers.trial_s * tools.fps)
-    values = []
 
     def worth(pose: FramePose) -> float:
         heading = heading_of(walking_velocity(clip, pose.row, numbers), numbers)
         return pose.evidence - float(against_walking(tools.body, pose.state[None], heading, numbers)[0])
 
+    ways = []
     for hypothesis in hypotheses:
         start = int(np.searchsorted(frames, hypothesis.frame))
         later = range(start, min(len(clip), start + reach), stride)
         earlier = range(start, max(-1, start - reach), -stride)
-        reached = [
-            worth(pose)
-            for order in (later, earlier)
-            for pose in follow_pose(quick, order, hypothesis.state, seed=seed, stage="trial")
+        ways += [(hypothesis.state, later), (hypothesis.state, earlier)]
+    poses = _looked_at(quick, ways, seed=seed, stage="trial")
+    values = np.array(
+        [
+            np.nanmean([worth(pose) for pose in (*later, *earlier)])
+            for later, earlier in zip(poses[::2], poses[1::2], strict=True)
         ]
-        values.append(float(np.nanmean(reached)))
-    return hypotheses[int(np.argmax(values))], np.array(values)
+    )
+    return hypotheses[int(values.argmax())], values
+
+
+def _looked_at(
+    quick: VolumeClip, ways: Sequence[tuple[Array, range]], *, seed: int, stage: str
+) -> list[list[FramePose]]:
+    """The poses along several ways through a clip, side by side where there are threads for it.
+
+    ways : each the pose (D,) that it begins with, and the rows in its order.
+    """
+    n_threads = quick.observation.tools.n_threads
+    own = on_threads(quick, max(1, n_threads // len(ways)))
+
+    def poses_of(way: tuple[Array, range]) -> list[FramePose]:
+        first, order = way
+        return list(follow_pose(own, order, first, seed=seed, stage=stage))
+
+    return in_processes(poses_of, ways, n_threads)
 
 
 def follow_person(
@@ -325,12 +349,9 @@ def _sized(
     reach = stride * numbers.n_frames
     later = range(start, min(len(clip), start + reach), stride)
     earlier = range(start - stride, max(-1, start - reach), -stride)
-    seen = [
-        pose
-        for order in (later, earlier)
-        for pose in follow_pose(quick, order, first.state, seed=seed, stage="sizing")
-        if np.isfinite(pose.evidence)
-    ]
+    ways = [(first.state, later), (first.state, earlier)]
+    poses = chain.from_iterable(_looked_at(quick, ways, seed=seed, stage="sizing"))
+    seen = [pose for pose in poses if np.isfinite(pose.evidence)]
     if not seen:
         return tools, height, first
     # The frames that are explained best: a limb that is lost says nothing of the size.

@@ -92,7 +92,7 @@ def rig_offset_m(store: StageStore) -> float:
     """By how much lines of sight of the cameras that were used miss each other at the people, m; 0 = they agree."""
     reader = store.reader(PRODUCT)
     # A camera whose calibration is wrong is left out of all frames, or of none.
-    used = reader.read(int(reader.frames[0]))["used"]
+    used = reader.read(int(reader.frames[0]), ["used"])["used"]
     in_use = {"", *(name for name, is_used in zip(reader.attrs["cameras"], used, strict=True) if is_used)}
     harmful = (f for f in stored_faults(store) if f.camera in in_use and not f.is_harmless)
     return max((fault.offset_m for fault in harmful), default=0.0)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mocap.errors import MocapError
+from mocap.io import store as store_module
 from mocap.io.store import BUFFER_FRAMES, StageStore, pack_masks, unpack_masks
 
 
@@ -64,6 +65,31 @@ def test_comes_back_in_order_and_by_frame(tmp_path: Path, n: int, first_empty: i
         assert_same(reader.read(frame), arrays)
     with pytest.raises(KeyError, match="frame 6"):
         reader.read(6)
+
+
+def test_only_arrays_that_are_asked_for_are_opened_and_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+    real = store_module._ColumnReader
+
+    def column(group: Any, name: str, *rest: Any) -> Any:
+        opened.append(name)
+        return real(group, name, *rest)
+
+    frames = [(k, {name: np.full((k, 2), k) for name in "abc"}) for k in range(3)]
+    store = StageStore(tmp_path)
+    write(store, frames)
+    monkeypatch.setattr(store_module, "_ColumnReader", column)
+    reader = store.reader("carve")
+    assert (reader.names, len(reader), opened) == (("a", "b", "c"), 3, [])
+    assert reader.read(2, ["b"])["b"].tolist() == [[2, 2], [2, 2]]
+    assert reader.lengths("b").tolist() == [0, 1, 2]
+    assert opened == ["b"]
+    list(reader)
+    assert opened == ["b", "a", "c"]
+    with pytest.raises(KeyError, match="d"):
+        reader.read(2, ["d"])
 
 
 def test_many_small_frames_do_not_make_many_files(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,10 +39,14 @@ from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.live.capture import CameraThread, Pace, Shot
 from mocap.pipeline.live.engine import Engine, FrameResult
 from mocap.pipeline.live.pairing import Pairing, PictureSet
+from mocap.pipeline.live.persons import Following, _Persons
 from mocap.pipeline.live.room import Recording
 from mocap.pipeline.live.run import LIVE_DEFAULTS, LIVE_SETTINGS, LiveOrder, LiveStatus, run_live
 from mocap.pipeline.run import run_session
-from mocap.pose.forward import ForwardSettings
+from mocap.pose import forward
+from mocap.pose.forward import ForwardSettings, Sighting
+from mocap.pose.person import VolumeClip
+from mocap.pose.volume import PersonHull
 
 SETTINGS = (*LIVE_DEFAULTS, *PLAIN, "tracking.confirm_frames=2", *LIVE_SETTINGS)
 SOON = ForwardSettings(watched_s=0.5, least_frames=4)  # the clip has a second
@@ -97,6 +102,25 @@ def test_the_engine_makes_what_the_stages_store(session: Session, tmp_path: Path
             np.testing.assert_array_equal(owner > 0, found.seen.owner > 0)
             n += 1
     assert n == len(session.frames)
+
+
+def test_the_search_for_a_first_pose_forks_nothing(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has a thread of its own beside others that are at work."""
+    threads = []
+
+    def start(clip: VolumeClip, *_: object, **options: object) -> None:
+        threads.append(clip.observation.tools.n_threads)
+        raise ValueError("no hull")
+
+    monkeypatch.setattr(forward, "start_person", start)
+    config = load_config("realtime", SETTINGS)
+    following = Following(session, config, Occluders({}, 1), seed=0, n_threads=2, forward=SOON)
+    hull = PersonHull(np.arange(2000, dtype=np.int32), np.ones(2000, dtype=np.bool_))
+    with ThreadPoolExecutor(1) as searches:
+        follower = _Persons(following, searches)._follower(1)
+        for k in range(9):
+            follower.see(Sighting(0.1 * k, np.zeros(3), hull))
+    assert threads == [1] * len(threads) != []
 
 
 @pytest.fixture(scope="module")

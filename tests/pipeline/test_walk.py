@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 from small_session import PLAIN, small_session
 
-from mocap.forks import answering, can_fork
+from mocap.forks import answering, can_fork, shared_zeros
 from mocap.io.store import StageStore
+from mocap.pipeline import run as run_module
 from mocap.pipeline import walk
-from mocap.pipeline.chains import CHAINS
+from mocap.pipeline.chains import CHAINS, stages_until
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.run import run_session
 from mocap.pipeline.stage import ClipWork, Ending, FrameWork, Job, Row, Seen, Stage, StageReport, is_done
@@ -308,6 +309,40 @@ def test_a_run_equals_its_stages_one_by_one(tmp_path: Path, tmp_path_factory: py
         for product in stage.products:
             assert content(stores[0], product) == content(stores[1], product), product
             assert stores[0].reader(product).key == stores[1].reader(product).key
+
+
+@pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
+@pytest.mark.parametrize("n_threads", [1, 2])
+def test_stages_before_the_last_walk_report_beside_it(
+    n_threads: int, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = small_session(tmp_path_factory.getbasetemp())
+    is_told = shared_zeros((1,), np.bool_)
+
+    def telling(stage: Stage) -> Stage:
+        def report(job: Job) -> StageReport:
+            is_told[0] = True
+            return StageReport((f"{stage.name} by {os.getpid()}",))
+
+        return replace(stage, report=report)
+
+    def walked(stages: Sequence[tuple[Stage, Job]]) -> dict[str, float]:
+        walls_s = run_together(stages)
+        while n_threads > 1 and stages[0][0].name == "carve" and not is_told[0]:
+            time.sleep(0.001)  # ends only if the others report meanwhile
+        assert is_told[0] == (n_threads > 1 and stages[0][0].name == "carve")
+        return walls_s
+
+    stages = [telling(stage) for stage in stages_until("voxels", "track")]
+    monkeypatch.setattr(run_module, "stages_until", lambda kind, until: stages)
+    monkeypatch.setattr(run_module, "run_together", walked)
+    config = load_config("default", PLAIN)
+    found = run_session(session, tmp_path / "out", config=config, until="track", n_threads=n_threads)
+    by = dict(warning.split(" by ") for warning in found.record.warnings if " by " in warning)
+    assert list(by) == ["segment", "occluders", "carve", "track"]
+    assert by["carve"] == by["track"] == str(os.getpid())
+    assert by["segment"] == by["occluders"]
+    assert (by["segment"] == by["carve"]) == (n_threads == 1)
 
 
 @pytest.mark.parametrize("lost", [("segment",), ("occluders",), ("segment", "carve"), ("segment", "track")])

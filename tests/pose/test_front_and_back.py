@@ -3,7 +3,10 @@
 In the trial of two first poses, and later by a restart.
 """
 
+import os
+import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +14,7 @@ import pytest
 from flesh_voxels import Flesh
 
 from mocap.body import neutral_state
+from mocap.forks import can_fork, shared_zeros
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose import person
@@ -69,6 +73,37 @@ def test_who_walks_faces_the_way_that_he_goes(
     best, values = choose_hypothesis(clip, hypotheses, seed=0)
     assert best is hypotheses[1 if ahead else 0]
     np.testing.assert_allclose(values, [EVIDENCE + 1.0 - lost, EVIDENCE])
+
+
+@pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
+@pytest.mark.parametrize("n_threads", [1, 2, 8])
+def test_the_ways_of_a_trial_are_gone_side_by_side(
+    coarse_flesh: Flesh, monkeypatch: pytest.MonkeyPatch, n_threads: int
+) -> None:
+    """Each with its share of the threads; both ways count, the one on which the evidence is as good as the row."""
+    by = shared_zeros((4,), np.int64)
+
+    def follow(
+        clip: VolumeClip, order: Sequence[int], first: np.ndarray, *, seed: int, stage: str
+    ) -> Iterator[SimpleNamespace]:
+        assert (seed, stage) == (5, "trial")
+        assert clip.observation.tools.n_threads == max(1, n_threads // 4)
+        ahead = first[clip.observation.tools.body.yaw_column] > 0
+        by[2 * ahead + (order.step < 0)] = os.getpid()  # type: ignore[attr-defined]
+        time.sleep(0.05)  # so that others get their turn
+        for row in order:
+            yield SimpleNamespace(row=row, state=first, evidence=row + (1000.0 if ahead else 0.0))
+
+    monkeypatch.setattr(person, "follow_pose", follow)
+    clip = clip_of(coarse_flesh, 0.0)
+    tools = replace(clip.observation.tools, n_threads=n_threads)
+    clip = replace(clip, observation=clip.observation.with_tools(tools))
+    hypotheses = [facing(clip, -np.pi / 2, -50.0), facing(clip, np.pi / 2, -60.0)]
+    best, values = choose_hypothesis(clip, hypotheses, seed=5)
+    rows = [*range(20, 40, 3), *range(20, -1, -3)]
+    assert best is hypotheses[1]
+    np.testing.assert_allclose(values, [np.mean(rows), 1000.0 + np.mean(rows)])
+    assert len(set(by.tolist())) == min(n_threads, 4)
 
 
 @pytest.mark.parametrize(

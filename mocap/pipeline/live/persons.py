@@ -144,6 +144,6 @@ class _Persons:
 
 
 def _tools_of(grid: VoxelGrid, fps: float, config: Config, height_m: float) -> VolumeTools:
-    """Tools of a person of some height."""
+    """Tools of a person of some height; of one thread: beside the others that are at work here none may fork."""
     model = config.body_model("voxels")
     return make_tools(grid, fps, height_m, model, config.pose, config.likelihood, 1, config.method)

@@ -216,12 +216,14 @@ def hulls_of_person(
     views = PersonViews(session, stored_grid(store), stored_occluders(store, session.rig))
     hulls, segments = store.reader(hulls_product.PRODUCT), store.reader(masks_product.PRODUCT)
     owners = store.reader(owners_product.PRODUCT)
+    # Nearly half of what would be decoded, and no pose asks for it.
+    asked_for = [name for name in hulls.names if name not in ("n_views", "rgb")]
 
     @lru_cache(maxsize=8)
     def hull_of(frame: int) -> PersonHull | None:
         owner = renamed(owners_at(owners, frame), frame, renamings)
         return views.hull(
-            hulls.read(frame),
+            hulls.read(frame, asked_for),
             owner,
             person,
             lambda: segments.read(frame),
