@@ -1,6 +1,6 @@
 """Live: what a result costs, how late it is, and how far off, on a session that is played over and over.
 
-    python -m eval.live SESSION [--cameras 4,7] [--seconds 20] [--preset realtime] [--threads 2] [--work out/eval]
+    python -m eval.live SESSION [--cameras 4,7] [--seconds 20] [--preset live] [--threads 2] [--work out/eval]
 
 `every` follows every frame without threads: milliseconds of CPU per frame, which no other process disturbs.
 `live` plays the same videos at their own pace through threads, as `mocap live` does: results per second, latency and
@@ -199,7 +199,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("session", type=Path, nargs="+")
     parser.add_argument("--cameras", default="4,7")
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--preset", default="realtime")
+    parser.add_argument("--preset", default="live")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--modes", default="every,live")
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "eval" / "live")

@@ -3,8 +3,9 @@
     python -m eval.pose_ablation [--only dev:walk,walk] [--variants default,no_outlines] [--seeds 3] [--work out/eval]
 
 Masks, volumes and tracks are made once per session; only the pose stage runs again. Writes one line per run to
-eval/results/pose_ablation.csv (existing lines are kept and not run again) and prints the means. Development sessions
-only: nothing is chosen on the held-out scenes of `eval.pose_sessions`.
+eval/results/pose_ablation.csv (existing lines are kept and not run again) and the table of docs/results-notes.md, which
+`python -m eval.pose_sessions --page-only` takes into docs/results.md, and prints the means. Development sessions only:
+nothing is chosen on the held-out scenes of `eval.pose_sessions`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eval.pose_sessions import DEV, ROOT
-from eval.whole import write_csv
+from eval.whole import with_table, write_csv, write_text
 
 if TYPE_CHECKING:
     from mocap.io.session import Session
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
     from mocap.pose.result import PersonPoses
 
 RESULTS = ROOT / "eval" / "results" / "pose_ablation.csv"
-SCENES = ("walk", "box", "gesture")
-DEV_SESSIONS = ("walk", "reach", "cross", "room")
+PAGE = ROOT / "docs" / "results-notes.md"
+DEV_SESSIONS = ("walk", "cross", "furnished", "reach", "room", "steps")
 VARIANTS: dict[str, tuple[str, ...]] = {
     "default": (),
     "no_refinement": ("pose.refine=false", "pose.look_again=false"),
@@ -38,6 +39,11 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "no_smoothing": ("pose.smooth_lag_frames=0",),
     "size_from_head": ("body.sizing=head",),
     "no_feedback": ("pose.feedback_share=0",),
+    "no_usual_postures": ("pose.posture_nats=0",),
+    "no_feet_and_hands": ("body.model=girdle",),
+    "search_every_2": ("pose.search_every_frames=2",),
+    "search_every_3": ("pose.search_every_frames=3",),
+    "search_every_5": ("pose.search_every_frames=5",),
 }
 SCORES = (
     "mean_error_mm",
@@ -116,6 +122,25 @@ def read_rows() -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+def table(rows: list[dict[str, str]]) -> str:
+    """Means of every variant over all sessions and the seeds that all of them have."""
+    done = {(r["session"], r["variant"], r["seed"]): r for r in rows}
+    sessions, seeds = (sorted({r[field] for r in rows}) for field in ("session", "seed"))
+    whole = [s for s in seeds if all((name, v, s) in done for name in sessions for v in VARIANTS)]
+    lines = [
+        f"| {len(sessions)} sessions, {len(whole)} seeds | raw, mm | after offset, mm | MMTA, % | lost wrist, % "
+        "| 90 % regions hold, % | raw of `dev:reach`, mm |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for variant in VARIANTS:
+        own = [done[name, variant, s] for name in sessions for s in whole]
+        means = [statistics.fmean(float(r[score]) for r in own) for score in SCORES]
+        reach = [float(done["dev:reach", variant, s]["mean_error_mm"]) for s in whole]
+        numbers = " | ".join(f"{v:.1f}" for v in (*means, statistics.fmean(reach)))
+        lines.append(f"| {variant.replace('_', ' ')} | {numbers} |")
+    return "\n".join(lines)
+
+
 def summary(rows: list[dict[str, str]]) -> str:
     """Mean over sessions and seeds of every variant, and of every session, as text."""
     lines = []
@@ -149,7 +174,7 @@ def main() -> None:
         help="take masks, volumes and tracks as they are, whatever code made them",
     )
     arguments = parser.parse_args()
-    names = [*SCENES, *(f"dev:{n}" for n in DEV_SESSIONS if (DEV / n).is_dir())]
+    names = [f"dev:{n}" for n in DEV_SESSIONS]
     if arguments.only:
         names = arguments.only.split(",")
     variants = dict(VARIANTS)
@@ -171,6 +196,8 @@ def main() -> None:
                 rows.append({k: str(row.get(k, "")) for k in FIELDS})
                 print(" ".join(f"{row.get(k, '')}" for k in FIELDS), flush=True)
     write_csv(RESULTS, FIELDS, rows)
+    if all(any(r["variant"] == variant for r in rows) for variant in VARIANTS):
+        write_text(PAGE, with_table(PAGE.read_text(encoding="utf-8"), "parts", table(rows)))
     wanted = [r for r in rows if r["variant"] in variants and r["session"] in names]
     print(summary(wanted))
 

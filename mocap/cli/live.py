@@ -79,7 +79,7 @@ def live(
         bool, typer.Option("--record", help="Record videos, for `mocap run OUT` later.")
     ] = False,
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.1, help="Stop after so long.")] = None,
-    preset: PresetOption = "realtime",
+    preset: PresetOption = "live",
     settings: SetOption = None,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,

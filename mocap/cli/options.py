@@ -28,7 +28,7 @@ PresetOption = Annotated[
     str,
     typer.Option(
         "--preset",
-        help="default, best, realtime, reference, reference_markers, reference_shbm, thesis_body, or a TOML file.",
+        help="default, best, realtime, live, reference, reference_markers, reference_shbm, thesis_body or a TOML file.",
         autocompletion=complete.presets,
     ),
 ]

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from eval import accuracy, body_size, inner_evidence, person_surface
+from eval import accuracy, body_size, inner_evidence, person_surface, pose_ablation
 from eval.whole import with_table
 from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.data import LANDMARKS, Motion
@@ -138,3 +138,18 @@ def test_the_decision_on_texture_says_what_the_table_of_inner_evidence_says() ->
     assert {len(own) for own in cells.values()} == {len(inner_evidence.VARIANTS)}
     for (session, cameras), own in cells.items():
         assert f"| `{session}` | {cameras} | {' | '.join(own)} |" in note
+
+
+def test_the_table_of_parts_says_what_the_runs_say() -> None:
+    rows = pose_ablation.read_rows()
+    page = pose_ablation.PAGE.read_text(encoding="utf-8")
+    assert with_table(page, "parts", pose_ablation.table(rows)) == page
+
+
+def test_a_seed_that_a_variant_lacks_is_left_out_of_the_table_of_parts() -> None:
+    rows = pose_ablation.read_rows()
+    # The last seed of all but one run, with errors that would show.
+    last = max(r["seed"] for r in rows)
+    more = [{**r, "seed": str(int(last) + 1), "mean_error_mm": "1000"} for r in rows if r["seed"] == last]
+    assert pose_ablation.table([*rows, *more[1:]]) == pose_ablation.table(rows)
+    assert "4 seeds" in pose_ablation.table([*rows, *more])

@@ -109,7 +109,7 @@ def test_configuration_files(tmp_path: Path) -> None:
     with pytest.raises(MocapError, match="not a TOML file") as error:
         load_config(str(path))
     assert error.value.path == path
-    with pytest.raises(MocapError, match=r"default, realtime, reference, .*thesis_body"):
+    with pytest.raises(MocapError, match=r"default, live, realtime, reference, .*thesis_body"):
         load_config("nonsense")
 
 

@@ -80,14 +80,14 @@ def sets_of(session: Session, *, without: tuple[str, ...] = ()) -> Iterator[Pict
 
 def engine(session: Session, tmp_path: Path, config: Config | None = None, n_threads: int = 1) -> Engine:
     store = StageStore(tmp_path / f"live-{n_threads}.zarr")
-    config = config or load_config("realtime", SETTINGS)
+    config = config or load_config("live", SETTINGS)
     return Engine(session, config, store, Occluders({}, 1), n_threads=n_threads, forward=SOON)
 
 
 @pytest.mark.parametrize("n_threads", [1, 2])
 def test_the_engine_makes_what_the_stages_store(session: Session, tmp_path: Path, n_threads: int) -> None:
     """Masks, hulls and owners are the same to the last bit, though nothing is stored."""
-    config = load_config("realtime", SETTINGS)
+    config = load_config("live", SETTINGS)
     run_session(session, tmp_path / "out", config=config, until="track")
     store = StageStore(tmp_path / "out" / "store.zarr")
     n = 0
@@ -113,7 +113,7 @@ def test_the_search_for_a_first_pose_forks_nothing(session: Session, monkeypatch
         raise ValueError("no hull")
 
     monkeypatch.setattr(forward, "start_person", start)
-    config = load_config("realtime", SETTINGS)
+    config = load_config("live", SETTINGS)
     following = Following(session, config, Occluders({}, 1), seed=0, n_threads=2, forward=SOON)
     hull = PersonHull(np.arange(2000, dtype=np.int32), np.ones(2000, dtype=np.bool_))
     with ThreadPoolExecutor(1) as searches:
@@ -127,7 +127,7 @@ def test_the_search_for_a_first_pose_forks_nothing(session: Session, monkeypatch
 def results(root: Path, tmp_path_factory: pytest.TempPathFactory) -> list[FrameResult]:
     """Of the session's clip, without threads."""
     session = open_session(root)
-    config = load_config("realtime", (*SETTINGS, *THOROUGH))
+    config = load_config("live", (*SETTINGS, *THOROUGH))
     with engine(session, tmp_path_factory.mktemp("live"), config) as live:
         return list(live.results(sets_of(session)))
 
@@ -154,7 +154,7 @@ def test_a_person_is_looked_at_sized_and_followed(results: list[FrameResult], ro
 def test_results_are_the_same_every_time(
     results: list[FrameResult], session: Session, tmp_path: Path
 ) -> None:
-    with engine(session, tmp_path, load_config("realtime", (*SETTINGS, *THOROUGH))) as live:
+    with engine(session, tmp_path, load_config("live", (*SETTINGS, *THOROUGH))) as live:
         again = list(live.results(sets_of(session)))
     for one, other in zip(results, again, strict=True):
         for p, q in zip(one.persons, other.persons, strict=True):
@@ -206,7 +206,7 @@ def test_who_comes_back_is_known(session: Session, root: Path, tmp_path: Path) -
             shots = [shot for shot in found.shots if shot is not None]
             yield PictureSet(tuple(replace(shot, time_s=shot.time_s + later_s) for shot in shots))
 
-    config = load_config("realtime", (*SETTINGS, *THOROUGH, "tracking.lost_frames=5"))
+    config = load_config("live", (*SETTINGS, *THOROUGH, "tracking.lost_frames=5"))
     with engine(session, tmp_path, config) as live:
         results = list(live.results(sets()))
     n = len(session.frames)
@@ -432,7 +432,7 @@ def run(order: LiveOrder) -> tuple[list[FrameResult], LiveStatus]:
 
 def order(session: Session, **more: Any) -> LiveOrder:
     sources = {name: str(path) for name, path in session.image_sources.items()}
-    return LiveOrder(session, sources, load_config("realtime", SETTINGS), **more)
+    return LiveOrder(session, sources, load_config("live", SETTINGS), **more)
 
 
 @pytest.mark.parametrize("rate", [0.5, 4.0])
