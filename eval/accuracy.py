@@ -31,8 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from eval.landmark_bias import SESSIONS
-from eval.pose_ablation import poses_of, prepare, session_folder
+from eval.pose_ablation import SESSIONS, poses_of, prepare, session_folder
 from eval.pose_sessions import DEV, ROOT
 from eval.triangulation import triangulated
 from eval.whole import kept_rows, with_table, write_csv, write_text

@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.landmark_bias import SESSIONS, _running_mean
-from eval.pose_ablation import prepare
+from eval.landmark_bias import _running_mean
+from eval.pose_ablation import SESSIONS, prepare
 from eval.pose_sessions import ROOT
 from eval.second_pass import evidence_of_rows, nearest
 from eval.whole import kept_rows, write_csv

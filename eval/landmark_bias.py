@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from eval.pose_ablation import prepare
+from eval.pose_ablation import SESSIONS, prepare
 from eval.pose_sessions import ROOT
 from eval.whole import write_csv
 from mocap.arrays import Array
@@ -30,7 +30,6 @@ from mocap.metrics.points import offset_corrected, point_errors, point_scores
 from mocap.pose.result import PersonPoses
 
 RESULTS = ROOT / "eval" / "results" / "landmark_bias.csv"
-SESSIONS = ("dev:walk", "dev:cross", "dev:furnished", "dev:reach", "dev:room", "dev:steps")
 BODIES = {"before": str(ROOT / "eval" / "bodies" / "girdle_before.toml"), "now": "girdle"}
 FIELDS = (
     *("session", "person", "body", "seed", "landmark", "raw_mm", "bias_mm", "rest_mm", "fast_mm"),

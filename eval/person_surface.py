@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eval.error_budget import fitted_to, followed_with_truth
-from eval.landmark_bias import SESSIONS
+from eval.pose_ablation import SESSIONS
 from eval.pose_sessions import ROOT
 from eval.second_pass import evidence_of_rows
 from eval.whole import kept_rows, write_csv

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 RESULTS = ROOT / "eval" / "results" / "pose_ablation.csv"
 PAGE = ROOT / "docs" / "results-notes.md"
-DEV_SESSIONS = ("walk", "cross", "furnished", "reach", "room", "steps")
+SESSIONS = ("dev:walk", "dev:cross", "dev:furnished", "dev:reach", "dev:room", "dev:steps")
 VARIANTS: dict[str, tuple[str, ...]] = {
     "default": (),
     "no_refinement": ("pose.refine=false", "pose.look_again=false"),
@@ -122,18 +122,23 @@ def read_rows() -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+def whole_seeds(rows: list[dict[str, str]]) -> list[str]:
+    """Seeds that every variant has been run with in every development session."""
+    done = {(r["session"], r["variant"], r["seed"]) for r in rows}
+    seeds = sorted({r["seed"] for r in rows})
+    return [s for s in seeds if all((name, v, s) in done for name in SESSIONS for v in VARIANTS)]
+
+
 def table(rows: list[dict[str, str]]) -> str:
-    """Means of every variant over all sessions and the seeds that all of them have."""
-    done = {(r["session"], r["variant"], r["seed"]): r for r in rows}
-    sessions, seeds = (sorted({r[field] for r in rows}) for field in ("session", "seed"))
-    whole = [s for s in seeds if all((name, v, s) in done for name in sessions for v in VARIANTS)]
+    """Means of every variant over all sessions and the whole seeds, of which there is one at least."""
+    done, whole = {(r["session"], r["variant"], r["seed"]): r for r in rows}, whole_seeds(rows)
     lines = [
-        f"| {len(sessions)} sessions, {len(whole)} seeds | raw, mm | after offset, mm | MMTA, % | lost wrist, % "
+        f"| {len(SESSIONS)} sessions, {len(whole)} seeds | raw, mm | after offset, mm | MMTA, % | lost wrist, % "
         "| 90 % regions hold, % | raw of `dev:reach`, mm |",
         "|---|---|---|---|---|---|---|",
     ]
     for variant in VARIANTS:
-        own = [done[name, variant, s] for name in sessions for s in whole]
+        own = [done[name, variant, s] for name in SESSIONS for s in whole]
         means = [statistics.fmean(float(r[score]) for r in own) for score in SCORES]
         reach = [float(done["dev:reach", variant, s]["mean_error_mm"]) for s in whole]
         numbers = " | ".join(f"{v:.1f}" for v in (*means, statistics.fmean(reach)))
@@ -174,9 +179,7 @@ def main() -> None:
         help="take masks, volumes and tracks as they are, whatever code made them",
     )
     arguments = parser.parse_args()
-    names = [f"dev:{n}" for n in DEV_SESSIONS]
-    if arguments.only:
-        names = arguments.only.split(",")
+    names = arguments.only.split(",") if arguments.only else SESSIONS
     variants = dict(VARIANTS)
     if arguments.variants:
         variants = {k: v for k, v in VARIANTS.items() if k in arguments.variants.split(",")}
@@ -196,7 +199,7 @@ def main() -> None:
                 rows.append({k: str(row.get(k, "")) for k in FIELDS})
                 print(" ".join(f"{row.get(k, '')}" for k in FIELDS), flush=True)
     write_csv(RESULTS, FIELDS, rows)
-    if all(any(r["variant"] == variant for r in rows) for variant in VARIANTS):
+    if whole_seeds(rows):
         write_text(PAGE, with_table(PAGE.read_text(encoding="utf-8"), "parts", table(rows)))
     wanted = [r for r in rows if r["variant"] in variants and r["session"] in names]
     print(summary(wanted))

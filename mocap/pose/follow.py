@@ -332,7 +332,9 @@ class OnePose:
         return [Candidate(carried)]
 
     def _gone_on(self, carried: Candidates) -> Candidates:
-        """The carried pose, its joints turned on as they turned before; not as far as only one turns that was found."""
+        """The carried pose, its joints turned on as they turned before; those of a limb that was found stay.
+        It has turned further than people turn in a frame.
+        """
         (now,), body = carried, self.tools.body
         if self._before is None:
             return carried

@@ -72,9 +72,9 @@ def test_between_two_searches_the_pose_is_followed_all_the_same(
     assert errors[1] < 1.2 * errors[0] < 0.03
 
 
-@pytest.mark.parametrize(("settings", "every"), [({}, 1), ({"search_every_frames": 4, "refine": False}, 1)])
+@pytest.mark.parametrize("settings", [{}, {"search_every_frames": 4, "refine": False}])
 def test_every_frame_is_searched_by_default_and_where_nothing_is_refined(
-    coarse_flesh: Flesh, swinging: np.ndarray, settings: dict[str, Any], every: int
+    coarse_flesh: Flesh, swinging: np.ndarray, settings: dict[str, Any]
 ) -> None:
     searched, _ = followed(*policy_of(coarse_flesh, swinging[:5], **settings))
     assert searched == [0, 1, 2, 3, 4]
