@@ -41,7 +41,7 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "no_feedback": ("pose.feedback_share=0",),
     "no_usual_postures": ("pose.posture_nats=0",),
     "no_feet_and_hands": ("body.model=girdle",),
-    "search_every_2": ("pose.search_every_frames=2",),
+    "search_every_frame": ("pose.search_every_frames=1",),
     "search_every_3": ("pose.search_every_frames=3",),
     "search_every_5": ("pose.search_every_frames=5",),
 }

@@ -201,9 +201,9 @@ class PoseConfig(_Section):
     look_again: bool = True
     """Search anew for limbs that fit badly, over their whole range, and for the whole pose where it is lost; false =
     the published filter alone."""
-    search_every_frames: int = Field(default=1, ge=1, le=10)
+    search_every_frames: Annotated[int, Field(ge=1, le=10)] | Literal["auto"] = 1
     """Frames from one search to the next, by the filter and for limbs; in those between, the pose goes on as it went
-    and is refined."""
+    and is refined. `auto` = 2 while five cameras or more show the person, 1 while fewer do."""
     repair: bool = True
     """Where a limb jumps, carry it over from the other side while the frames gain by it, after all poses are found."""
     jump_nats: float = Field(default=0.0, ge=0)

@@ -93,6 +93,11 @@ class FrameEvidence(Protocol):
         ...
 
     @property
+    def n_cameras(self) -> int:
+        """How many cameras show the person."""
+        ...
+
+    @property
     def grain_m(self) -> float:
         """Standard deviation of what the data resolve, added to the particles' spread."""
         ...

@@ -344,11 +344,18 @@ class OnePose:
         turn[np.abs(turn) > body.max_speed / self.tools.fps] = 0.0
         return [Candidate(np.clip(now.state + turn, body.layout.lower, body.layout.upper))]
 
+    @property
+    def _search_every_frames(self) -> int:
+        numbers, wanted = self.settings.method.follow, self.settings.search_every_frames
+        if wanted != "auto":
+            return wanted
+        return numbers.rarely_frames if self._evidence.n_cameras >= numbers.many_cameras else 1
+
     def propose(self, carried: Candidates, rng: np.random.Generator) -> Candidates:
         """The filter's estimate first, then the carried pose; between two searches the carried pose gone on."""
         problem = self._evidence.search
         can_wait = bool(carried) and self.settings.refine and self._particles is not None
-        is_between = can_wait and self._n_since_search + 1 < self.settings.search_every_frames
+        is_between = can_wait and self._n_since_search + 1 < self._search_every_frames
         self._n_since_search = self._n_since_search + 1 if is_between else 0
         if self._particles is None:
             self._particles = initial_particles(problem, self._estimate, self._filter.n_particles)

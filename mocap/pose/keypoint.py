@@ -75,6 +75,11 @@ class KeypointEvidence:
         return self.tools.problem(self.views, self.tools.numbers.wide_scale if self.is_coarse else None)
 
     @property
+    def n_cameras(self) -> int:
+        """Views that have a say on the person."""
+        return int(self.views.has_say.any(axis=1).sum())
+
+    @property
     def grain_m(self) -> float:
         """Keypoints resolve more than the filter's particles do."""
         return 0.0

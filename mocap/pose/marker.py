@@ -143,6 +143,11 @@ class MarkerEvidence:
         return self.tools.problem(self.observation)
 
     @property
+    def n_cameras(self) -> int:
+        """Views with detections."""
+        return int(np.count_nonzero(np.diff(self.observation.first)))
+
+    @property
     def grain_m(self) -> float:
         """Detections resolve more than the filter's particles do."""
         return 0.0

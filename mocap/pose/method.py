@@ -162,6 +162,11 @@ class FollowSettings(_Strict):
     """Without a volume for so long, a pose is looked for anew when the person comes back."""
     max_limbs: int = 2
     """Limbs searched for in one frame, those that promise most."""
+    many_cameras: int = 5
+    """While so many show the person, `pose.search_every_frames = "auto"` searches in some frames alone: what is found
+    lasts. With four, wrists are lost for longer, with two and three whole arms (decision 79)."""
+    rarely_frames: int = 2
+    """From one search to the next there."""
 
 
 @dataclass(frozen=True)

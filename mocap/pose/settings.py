@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from mocap.filters import FilterBudget
 from mocap.pose.method import Method
@@ -26,7 +27,7 @@ class PoseSettings:
     texture_weight: float = 0.0
     feedback_share: float = 0.5
     look_again: bool = True
-    search_every_frames: int = 1
+    search_every_frames: int | Literal["auto"] = 1
     repair: bool = True
     jump_nats: float = 0.0
     estimate: str = "mean"

@@ -248,6 +248,11 @@ class VolumeEvidence:
         return replace(self.voxels, settings=self.tools.likelihood)
 
     @property
+    def n_cameras(self) -> int:
+        """Cameras with a silhouette of the person; 0 where silhouettes are not looked at."""
+        return 0 if self.outlines is None else self.outlines.outlines.n_cameras
+
+    @property
     def grain_m(self) -> float:
         """Half a voxel."""
         return 0.5 * self.tools.grid.voxel_size_m

@@ -28,7 +28,9 @@ def test_presets_say_what_they_are_for() -> None:
     assert not reference.look_again
     assert load_config("thesis_body").body.model == "thesis"
     quick = load_config("realtime")
-    assert quick.pose.search_every_frames > 1 == load_config().pose.search_every_frames
+    assert quick.pose.search_every_frames == 3
+    assert load_config().pose.search_every_frames == "auto"
+    assert load_config("best").pose.search_every_frames == 1
     settings = (f"pose.search_every_frames={quick.pose.search_every_frames}", "output.formats=report")
     assert load_config("default", settings) == quick  # and nothing else
 

@@ -7,15 +7,21 @@ from typing import Any
 import numpy as np
 import pytest
 from flesh_voxels import Flesh
+from outline_world import N_POINTS, bent, landmark_cloud, make_rig, outlines_of, silhouette
 
 from mocap.body import landmarks_of, neutral_state
 from mocap.filters import ParticleState
+from mocap.likelihood.keypoints import KeypointViews
+from mocap.likelihood.markers import MarkerObservation, marker_views
+from mocap.likelihood.residuals import person_outlines, pinhole_view
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose import follow
 from mocap.pose.follow import Candidate, OnePose, follow_frame
+from mocap.pose.keypoint import KeypointEvidence
+from mocap.pose.marker import MarkerEvidence
 from mocap.pose.person import VolumeClip
-from mocap.pose.volume import PersonHull, VolumeObservation
+from mocap.pose.volume import PersonHull, VolumeEvidence, VolumeObservation
 
 FPS = 25.0
 TURN = 0.04  # rad per frame, of an arm that swings as in a walk
@@ -78,6 +84,43 @@ def test_every_frame_is_searched_by_default_and_where_nothing_is_refined(
 ) -> None:
     searched, _ = followed(*policy_of(coarse_flesh, swinging[:5], **settings))
     assert searched == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(("n_cameras", "rows"), [(4, [0, 1, 2, 3, 4]), (5, [0, 2, 4])])
+def test_with_auto_many_cameras_are_searched_less_often(
+    coarse_flesh: Flesh,
+    swinging: np.ndarray,
+    n_cameras: int,
+    rows: list[int],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(VolumeEvidence, "n_cameras", n_cameras)
+    searched, _ = followed(*policy_of(coarse_flesh, swinging[:5], search_every_frames="auto"))
+    assert searched == rows
+
+
+def test_a_camera_counts_where_it_has_a_silhouette_of_the_person(coarse_flesh: Flesh) -> None:
+    rig, state = make_rig(), bent(coarse_flesh)
+    seen = outlines_of(coarse_flesh, state, rig)
+    views, masks = [pinhole_view(c) for c in rig], [silhouette(coarse_flesh, state, c) for c in rig]
+    masks[2] = np.zeros_like(masks[2])
+    fewer = person_outlines(views, rig, masks, landmark_cloud(coarse_flesh, state), n_points=N_POINTS)
+    policy, observation = policy_of(coarse_flesh, state[None])
+    hull = coarse_flesh.hull(state)
+    for outlines, n in (seen, len(rig)), (fewer, len(rig) - 1), (None, 0):
+        own = replace(hull, outlines=None if outlines is None else lambda found=outlines: found)
+        evidence = observation.evidence(policy.tools.prepared(own))
+        assert evidence.n_cameras == n
+
+
+def test_detections_count_cameras_that_have_any(coarse_flesh: Flesh) -> None:
+    policy, _ = policy_of(coarse_flesh, neutral_state(coarse_flesh.body)[None])
+    uv = np.zeros((4, 17, 2))
+    uv[2] = np.nan
+    keypoints = KeypointViews(np.zeros((4, 3, 4)), uv, np.ones((4, 17)))
+    assert KeypointEvidence(policy.tools, keypoints).n_cameras == 3  # type: ignore[arg-type]
+    detections = MarkerObservation(marker_views(make_rig()), np.zeros((5, 2)), np.array([0, 2, 2, 5]))
+    assert MarkerEvidence(policy.tools, detections).n_cameras == 2  # type: ignore[arg-type]
 
 
 def test_who_was_out_of_sight_is_searched_for_at_once(coarse_flesh: Flesh, swinging: np.ndarray) -> None:

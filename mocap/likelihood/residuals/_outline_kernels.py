@@ -46,9 +46,9 @@ class Pinholes(NamedTuple):
 class Crops(NamedTuple):
     """A crop of each camera's silhouette.
 
-    corner : (C, 2) picture coordinates of a crop's first pixel.  inside : flat uint8, the pixels of every camera's crop,
-    0 where nobody can be.  first : (C,) where a camera's crop starts in it.  shape : (C, 2) height and width, 0 without a
-    usable silhouette.
+    corner : (C, 2) picture coordinates of a crop's first pixel.  inside : flat uint8, the pixels of every camera's
+    crop, 0 where nobody can be.  first : (C,) where a camera's crop starts in it.  shape : (C, 2) height and width, 0
+    without a usable silhouette.
     """
 
     corner: NDArray[np.int64]
@@ -246,8 +246,8 @@ def _is_beyond(u, v, intrinsics, camera):
 def body_to_silhouettes(points, point_joint, cameras, crops, pull, pulls):
     """Pull flesh points (M, 3) that project outside a silhouette back to its nearest pixel; returns the robust cost.
 
-    A point that falls outside a crop is taken to the crop's border first. One that is far from the silhouette costs what
-    is far, and is not pulled.
+    A point that falls outside a crop is taken to the crop's border first. One that is far from the silhouette costs
+    what is far, and is not pulled.
     """
     R_cam, t_cam, intrinsics = cameras
     corner, inside, first, shape = crops

@@ -21,11 +21,11 @@ from mocap.data.camera import Camera, CameraRig
 from mocap.data.problem import StateLayout
 from mocap.geometry._pixel_kernels import are_near, extent_of, pixels_of_points
 from mocap.likelihood.residuals._outline_kernels import (
+    Crops,
     OutlinePull,
     OutlineTerms,
     Pinholes,
     Rays,
-    Crops,
     are_inside,
     outline_equations,
     rays_through,
@@ -147,6 +147,11 @@ class Outlines:
     @property
     def n_points(self) -> int:
         return len(self.origins)
+
+    @property
+    def n_cameras(self) -> int:
+        """Cameras with a usable silhouette."""
+        return int(np.count_nonzero(self.crops.shape[:, 0]))
 
 
 def person_outlines(
@@ -295,7 +300,6 @@ class OutlineProblem:
     def terms(self) -> OutlineTerms:
         """The problem as the kernels take it."""
         settings, o = self.settings, self.outlines
-        n_used = max(1, int((o.crops.shape[:, 0] > 0).sum()))
         return OutlineTerms(
             _rays(o.origins, o.directions, o.normals),
             FleshPoints(self._flesh, self._flesh_joint),
@@ -305,7 +309,7 @@ class OutlineProblem:
                 scale_m=settings.scale_m,
                 normal_cost_m=settings.normal_cost_m,
                 flesh_scale_m=settings.flesh_scale_m,
-                flesh_gain=settings.flesh_gain * o.n_points / (len(self._flesh) * n_used),
+                flesh_gain=settings.flesh_gain * o.n_points / (len(self._flesh) * max(1, o.n_cameras)),
             ),
         )
 
