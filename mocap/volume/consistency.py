@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import CameraRig, Occluders, VoxelGrid
-from mocap.volume import _kernels
+from mocap.volume import _kernels, _mask_kernels
 from mocap.volume.carve import Carver, check_masks
 from mocap.volume.components import connected_components
 from mocap.volume.rig_agreement import MaskSample
@@ -30,7 +30,7 @@ Small = NDArray[np.uint8]
 Voxels = NDArray[np.int32]
 
 MAX_LAG_FRAMES = 8
-SHRINK = 4  # picture pixels per cell of the small masks
+SHRINK = _mask_kernels.CELL_PX  # picture pixels per cell of the small masks
 _FOOTPRINT = 1.2  # width of a painted voxel, as in residuals.py
 _MIN_VIEWS = 4
 MIN_CELLS = 12  # a silhouette with fewer cells says nothing
@@ -260,21 +260,10 @@ class ConsistencyMonitor:
 
     def _shrunk(self, masks: Sequence[Mask]) -> Small:
         """(C, h, w) uint8: cells of which at least half is foreground."""
-        small = np.zeros((len(masks), *self._size), dtype=np.uint8)
-        for own, mask in zip(small, masks, strict=True):
-            u, v, w, h = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
-            if w == 0:
-                continue
-            # Whole cells around the foreground; what hangs over the picture's edge is cut.
-            x0, y0 = u // SHRINK, v // SHRINK
-            x1 = min(-(-(u + w) // SHRINK), mask.shape[1] // SHRINK)
-            y1 = min(-(-(v + h) // SHRINK), mask.shape[0] // SHRINK)
-            if x1 > x0 and y1 > y0:
-                part = mask[y0 * SHRINK : y1 * SHRINK, x0 * SHRINK : x1 * SHRINK].astype(np.uint8) * np.uint8(
-                    255
-                )
-                own[y0:y1, x0:x1] = cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA) >= 128
-        return small
+        counts = np.zeros((len(masks), *self._size), dtype=np.uint8)
+        for own, mask in zip(counts, masks, strict=True):
+            _mask_kernels.count_in_cells(np.ascontiguousarray(mask).view(np.uint8), own)
+        return (counts >= SHRINK**2 // 2).view(np.uint8)
 
     def _silhouettes(self, masks: Sequence[Mask]) -> Small:
         """(C, h, w) uint8 silhouettes of the others' hulls."""
