@@ -198,16 +198,16 @@ def count_differences(rows, background, threshold, first, stride, counts):
     """
     width = threshold.shape[1]
     differs = np.zeros(counts.shape[1] * CELL, dtype=np.uint8)
+    words = differs.view(np.uint64)
     for y in range(first, rows.shape[0], stride):
         a, b, t = rows[y], background[y], threshold[y]
         for i in range(width):
             differs[i] = np.uint8(_far(a, b, i) > t[i])
         cells = counts[y // CELL]
         for cx in range(cells.shape[0]):
-            n = np.uint8(0)
-            for d in differs[CELL * cx : CELL * (cx + 1)]:
-                n += d
-            cells[cx] += n
+            # The highest byte of the product is the sum of all eight.
+            both = words[2 * cx] + words[2 * cx + 1]
+            cells[cx] += np.int32((both * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -313,15 +313,21 @@ def cell_gains(rows, background, excluded, step, cell_width, cell_height, gains)
 def scale_rows(rows, background, factor, out):
     """out = rows * factor / 65536, rounded, at most 255; saturated values may be brighter, as far as the background is.
 
-    rows, background, out : (H, 3 W) uint8.  factor : (3 W,) int64. A lamp that is 255 in both pictures must not differ
-    because the rest has become brighter.
+    rows, background, out : (H, 3 W) uint8.  factor : (3,) uint32 of red, green and blue, below 2^24. A lamp that is 255
+    in both pictures must not differ because the rest has become brighter.
     """
-    factor32 = factor.astype(np.uint32)
+    factors = np.empty(rows.shape[1], dtype=np.uint32)
+    for i in range(factors.shape[0]):
+        factors[i] = factor[i % 3]
     for y in range(rows.shape[0]):
         a, b, o = rows[y], background[y], out[y]
+        # Cast back after every step: products of 64 bits would take twice as long.
         for i in range(a.shape[0]):
-            scaled = min((np.uint32(a[i]) * factor32[i] + np.uint32(32768)) >> np.uint32(16), np.uint32(255))
-            o[i] = np.uint8(max(scaled, np.uint32(b[i])) if a[i] >= _SATURATED else scaled)
+            product = np.uint32(np.uint32(a[i]) * factors[i])
+            scaled = np.uint32(np.uint32(product + np.uint32(32768)) >> np.uint32(16))
+            o[i] = np.uint8(min(scaled, np.uint32(255)))
+        for i in range(a.shape[0]):
+            o[i] = max(o[i], b[i] if a[i] >= np.uint8(_SATURATED) else np.uint8(0))
 
 
 @njit(cache=True, nogil=True)

@@ -310,7 +310,7 @@ class Segmenter:
             # Else no light explains it: another place, another camera.
         if np.abs(gain - 1).max() < 0.004:
             return rows
-        factor = np.tile(np.round(65536 / np.clip(gain, 0.5, 2.0)).astype(np.int64), self.shape[1])
+        factor = np.round(65536 / np.clip(gain, 0.5, 2.0)).astype(np.uint32)
         out = np.empty_like(rows)
         _kernels.scale_rows(rows, self._background, factor, out)
         return out

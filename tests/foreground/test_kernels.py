@@ -93,11 +93,11 @@ def test_median_gain_and_scaling() -> None:
     )
     np.testing.assert_array_equal(found, 1.0)
 
-    factor = np.tile(np.round(65536 / gain).astype(np.int64), W)
+    factor = np.round(65536 / gain).astype(np.uint32)
     out = np.empty((H, 3 * W), np.uint8)
     image[:3] = 255
     kernels.scale_rows(image.reshape(H, -1), background.reshape(H, -1), factor, out)
-    expected = np.minimum((image.reshape(H, -1).astype(np.int64) * factor + 32768) >> 16, 255)
+    expected = np.minimum((image.reshape(H, -1).astype(np.int64) * np.tile(factor, W) + 32768) >> 16, 255)
     expected[:3] = np.maximum(expected[:3], background.reshape(H, -1)[:3])
     np.testing.assert_array_equal(out, expected)
 
