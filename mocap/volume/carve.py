@@ -90,6 +90,15 @@ def pixels_of_points(camera: Camera, points_world: Array) -> NDArray[np.int32]:
     return out
 
 
+def pixels_in_all(rig: CameraRig, points_world: Array) -> NDArray[np.int32]:
+    """`pixels_of_points` of every camera, (C, n) int32."""
+    out = np.empty((len(rig), len(points_world)), dtype=np.int32)
+    xyz = np.ascontiguousarray(points_world.T)
+    for camera, own in zip(rig, out, strict=True):
+        _project(camera, xyz, own)
+    return out
+
+
 def _project(camera: Camera, xyz: Array, out: NDArray[np.int32]) -> None:
     """Pixels of points xyz (3, n) m, world, into out (n,)."""
     parameters = camera_parameters(camera)
@@ -607,8 +616,7 @@ class Carver:
 
     def pixels(self, voxels: Voxels) -> NDArray[np.int32]:
         """Flat pixel index of each voxel in each camera, (N, C) int32; -1 outside the view."""
-        centers = self.grid.centers(voxels)
-        return np.column_stack([pixels_of_points(camera, centers) for camera in self.rig])
+        return np.ascontiguousarray(pixels_in_all(self.rig, self.grid.centers(voxels)).T)
 
     def judged_pixels(self, voxels: Voxels, pixels: NDArray[np.int32]) -> NDArray[np.int32]:
         """The pixels (N, C) of voxels (N,), -1 also where a voxel lies behind an occluder."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mocap.data import Camera, CameraRig, Occluders, VoxelGrid
 from mocap.volume import _mask_kernels
 from mocap.volume import _occluder_kernels as kernels
-from mocap.volume.carve import MIN_VOTES, Carver, pixels_of_points
+from mocap.volume.carve import MIN_VOTES, Carver, pixels_in_all, pixels_of_points
 from mocap.volume.components import connected_components
 from mocap.volume.surface import surface_voxels
 
@@ -374,7 +374,7 @@ class _Squares:
 
 def _squares(rig: CameraRig, points: Array, side: float) -> _Squares:
     """Cubes of one side, m, around points (N, 3) m."""
-    cell = np.array([pixels_of_points(camera, points) for camera in rig])
+    cell = pixels_in_all(rig, points)
     depth = np.array([points @ camera.R[2] + camera.t[2] for camera in rig])
     focal = np.array([max(camera.K[0, 0], camera.K[1, 1]) for camera in rig])
     half = np.floor(0.5 * side * focal[:, None] / np.maximum(depth, side) + 0.5).astype(np.int32)
