@@ -309,6 +309,30 @@ def cell_gains(rows, background, excluded, step, cell_width, cell_height, gains)
             gains[cy, cx] = middle if known else np.float32(0.0)
 
 
+@njit(cache=True, nogil=True)
+def count_uneven(gains, gain, least, most):
+    """Cells whose gain differs from that of the picture by more than `least`, and from none beside, above or below by
+    more than `most`.
+
+    gains : (ny, nx) float32, 0 = not known, which counts as the picture's for its neighbours.  gain, least, most :
+    float32.
+    """
+    height, width = gains.shape
+    n = 0
+    for y in range(height):
+        for x in range(width):
+            own = gains[y, x]
+            if own <= 0 or abs(own - gain) <= least:
+                continue
+            is_even = True
+            for j, i in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
+                if j >= 0 and j < height and i >= 0 and i < width:
+                    other = gains[j, i] if gains[j, i] > 0 else gain
+                    is_even &= abs(own - other) <= most
+            n += is_even
+    return n
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def scale_rows(rows, background, factor, out):
     """out = rows * factor / 65536, rounded, at most 255; saturated values may be brighter, as far as the background is.

@@ -371,11 +371,11 @@ class Segmenter:
         cells = np.empty((-(-height // h), -(-width // w)), dtype=np.float32)
         for step in _LIGHT_STEPS_PX:  # a quick look first, at most pictures the only one
             _kernels.cell_gains(rows, self._background, self._near, _scaled_px(step, self.shape), w, h, cells)
-            known = cells > 0
-            cells[~known] = gain
-            uneven = known & _without_jumps(cells, _JUMP * gain) & (np.abs(cells - gain) > _UNEVEN * gain)
-            if np.count_nonzero(uneven) < _UNEVEN_SHARE * cells.size:
+            levels = (np.float32(level) for level in (gain, _UNEVEN * gain, _JUMP * gain))
+            if _kernels.count_uneven(cells, *levels) < _UNEVEN_SHARE * cells.size:
                 return None
+        known = cells > 0
+        cells[~known] = gain
         even = known & (np.abs(cells - cv2.medianBlur(cells, 5)) < _JUMP * gain)
         near = cv2.GaussianBlur(even.astype(np.float32), (0, 0), 1.0)
         around = cv2.GaussianBlur(np.where(even, cells, np.float32(0)), (0, 0), 1.0)
@@ -516,18 +516,6 @@ def _without_overlaps(windows: list[_Window]) -> list[_Window]:
                 window = window.joined(other)
         apart.append(window)
     return apart
-
-
-def _without_jumps(cells: NDArray[np.float32], most: float) -> Mask:
-    """Cells (ny, nx) that differ from none beside, above or below them by more than `most`."""
-    down = np.abs(np.diff(cells, axis=0)) > most
-    across = np.abs(np.diff(cells, axis=1)) > most
-    even = np.ones(cells.shape, dtype=np.bool_)
-    even[:-1] &= ~down
-    even[1:] &= ~down
-    even[:, :-1] &= ~across
-    even[:, 1:] &= ~across
-    return even
 
 
 def _count_in_cells(mask: Bytes) -> NDArray[np.int32]:

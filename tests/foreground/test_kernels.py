@@ -330,6 +330,23 @@ def test_gains_of_cells() -> None:
     assert gains[0, 0] == 0.0
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (15, 8)])
+def test_uneven_light_is_no_jump_from_cell_to_cell(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(0)
+    gain, least, most = np.float32(1.1), np.float32(0.04), np.float32(0.1)
+    for _ in range(20):
+        gains = rng.normal(gain, 0.06, shape).astype(np.float32)
+        gains[rng.random(shape) < 0.2] = 0
+        shown = np.where(gains > 0, gains, gain)
+        jumps = [
+            np.pad(np.abs(np.diff(shown, axis=a)) > most, [(int(a == b),) * 2 for b in (0, 1)])
+            for a in (0, 1)
+        ]
+        is_even = ~(jumps[0][1:] | jumps[0][:-1] | jumps[1][:, 1:] | jumps[1][:, :-1])
+        expected = (gains > 0) & is_even & (np.abs(shown - gain) > least)
+        assert kernels.count_uneven(gains, gain, least, most) == np.count_nonzero(expected)
+
+
 @pytest.mark.parametrize(("n", "m"), [(1, 5), (2, 256), (3, 255), (24, 600), (31, 257)])
 def test_robust_statistics_of_columns(n: int, m: int) -> None:
     rng = np.random.default_rng(n)
