@@ -570,22 +570,22 @@ def _column_sums(plane, row, half, x, n, sums, p):
 
 
 @njit(cache=True, nogil=True)
-def tell_apart(mask, dark, shadow, doubtful):
-    """shadow = 1 where it is dark beside the mask, doubtful = 1 where it is dark in it; pixels of mask and shadow.
+def tell_apart(mask, dark, doubtful):
+    """Leave of what is dark the shadow beside the mask; doubtful = 1 where it is in it; pixels of mask and shadow.
 
-    All (h, w) uint8.  mask : 0 or 1.  dark : 0, SHADOW, or DOUBTFUL, which beside the mask is nothing.
+    All (h, w) uint8.  mask : 0 or 1.  dark : 0, SHADOW, or DOUBTFUL, which beside the mask is nothing; 0 or 1 out.
     """
     n_mask, n_shadow = 0, 0
     for y in range(mask.shape[0]):
-        m, d, s, o = mask[y], dark[y], shadow[y], doubtful[y]
-        for i in range(m.shape[0]):
-            s[i] = np.uint8((d[i] == SHADOW) & (m[i] == 0))
+        m, d, o = mask[y], dark[y], doubtful[y]
         for i in range(m.shape[0]):
             o[i] = np.uint8((d[i] > 0) & (m[i] != 0))
         for i in range(m.shape[0]):
+            d[i] = np.uint8((d[i] == SHADOW) & (m[i] == 0))
+        for i in range(m.shape[0]):
             n_mask += m[i]
         for i in range(m.shape[0]):
-            n_shadow += s[i]
+            n_shadow += d[i]
     return n_mask, n_shadow
 
 

@@ -245,12 +245,12 @@ class Segmenter:
         if self.settings.compensate_gain:
             rows = self._without_gain(rows)
             self._follow_noise(rows)
-        shadow = np.zeros(self.shape[:2], dtype=np.uint8)
+        dark = np.zeros(self.shape[:2], dtype=np.uint8)
         windows = self._windows(rows)
-        mask = self._joined([self._split(rows, window, shadow) for window in windows])
+        mask = self._joined([self._split(rows, window, dark) for window in windows])
         if self.settings.adaptation > 0 or self.settings.hold_frames is not None:
             self._adapt(rows, protect)
-        return self._answer(mask, shadow, windows)
+        return self._answer(mask, dark, windows)
 
     def _check(self, image: Image, protect: Mask | None) -> None:
         """ValueError for pictures of another kind than the background."""
@@ -278,17 +278,18 @@ class Segmenter:
         return mask
 
     def _answer(self, mask: Bytes, dark: Bytes, windows: list[_Window]) -> ForegroundMask:
-        """dark : (H, W) uint8, SHADOW or DOUBTFUL; what is foreground is no shadow.  windows : with all of both."""
-        shadow, doubtful = np.zeros_like(mask), np.zeros_like(mask)
+        """dark : (H, W) uint8, SHADOW or DOUBTFUL, becomes the shadow: what is foreground is none.  windows : with all
+        of both."""
+        doubtful = np.zeros_like(mask)
         n_mask, n_shadow = 0, 0
         for window in windows:
             here = window.slices
-            n, m = _kernels.tell_apart(mask[here], dark[here], shadow[here], doubtful[here])
+            n, m = _kernels.tell_apart(mask[here], dark[here], doubtful[here])
             n_mask, n_shadow = n_mask + n, n_shadow + m
         share = n_mask / mask.size
         whole = reduce(_Window.joined, windows) if windows else _Window(0, 0, 0, 0)
         return ForegroundMask(
-            mask.view(np.bool_), shadow.view(np.bool_), doubtful.view(np.bool_), share, n_shadow / mask.size,
+            mask.view(np.bool_), dark.view(np.bool_), doubtful.view(np.bool_), share, n_shadow / mask.size,
             share <= self.settings.max_foreground_share, (whole.x0, whole.x1 - 1, whole.y0, whole.y1 - 1),
         )  # fmt: skip
 
