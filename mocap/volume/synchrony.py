@@ -132,9 +132,10 @@ def silhouette_hull(mask: NDArray[np.bool_]) -> Array:
     if n == 0:
         return np.zeros((0, 2))
     # The ends of rows are enough for the hull.
-    rows, left, right = ends[:n].T
-    at_ends = np.concatenate([np.column_stack([left, rows]), np.column_stack([right, rows])])
-    corners = cv2.convexHull((at_ends + np.array([u0, v0])).astype(np.float32))
+    at_ends = np.empty((2, n, 2), dtype=np.float32)
+    at_ends[:, :, 0] = ends[:n, 1:].T + u0
+    at_ends[:, :, 1] = ends[:n, 0] + v0
+    corners = cv2.convexHull(at_ends.reshape(-1, 2))
     return np.asarray(corners.reshape(-1, 2), dtype=np.float64)
 
 
