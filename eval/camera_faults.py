@@ -98,7 +98,7 @@ def watch(session: Session, source: str) -> ConsistencyMonitor:
             else:
                 assert segmenters is not None
                 masks = [s.segment(i).mask for s, i in zip(segmenters, images, strict=True)]
-            monitor.add(frame, masks, images)
+            monitor.add(frame, masks, monitor.glimpse(images))
     return monitor
 
 

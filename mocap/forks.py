@@ -28,7 +28,7 @@ Question = TypeVar("Question")
 Answer = TypeVar("Answer")
 
 # Answers whose large arrays may lie on a shelf at once, and room for those of one, of which only what is used is ever
-# taken: pictures and masks of sixteen cameras of 640 x 480 are 30 MB. What finds no room goes through the pipe.
+# taken: three masks of each of sixteen cameras of 640 x 480 are 15 MB. What finds no room goes through the pipe.
 _PLACES, _PLACE_BYTES = 5, 1 << 25
 _LARGE_BYTES = 1 << 16  # of an array that is worth a place
 _LINE_BYTES = 64  # of the cache: where arrays begin

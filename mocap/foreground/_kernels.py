@@ -198,16 +198,16 @@ def count_differences(rows, background, threshold, first, stride, counts):
     """
     width = threshold.shape[1]
     differs = np.zeros(counts.shape[1] * CELL, dtype=np.uint8)
+    words = differs.view(np.uint64)
     for y in range(first, rows.shape[0], stride):
         a, b, t = rows[y], background[y], threshold[y]
         for i in range(width):
             differs[i] = np.uint8(_far(a, b, i) > t[i])
         cells = counts[y // CELL]
         for cx in range(cells.shape[0]):
-            n = np.uint8(0)
-            for d in differs[CELL * cx : CELL * (cx + 1)]:
-                n += d
-            cells[cx] += n
+            # The highest byte of the product is the sum of all eight.
+            both = words[2 * cx] + words[2 * cx + 1]
+            cells[cx] += np.int32((both * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -309,19 +309,49 @@ def cell_gains(rows, background, excluded, step, cell_width, cell_height, gains)
             gains[cy, cx] = middle if known else np.float32(0.0)
 
 
+@njit(cache=True, nogil=True)
+def count_uneven(gains, gain, least, most):
+    """Cells whose gain differs from that of the picture by more than `least`, and from none beside, above or below by
+    more than `most`.
+
+    gains : (ny, nx) float32, 0 = not known, which counts as the picture's for its neighbours.  gain, least, most :
+    float32.
+    """
+    height, width = gains.shape
+    n = 0
+    for y in range(height):
+        for x in range(width):
+            own = gains[y, x]
+            if own <= 0 or abs(own - gain) <= least:
+                continue
+            is_even = True
+            for j, i in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
+                if j >= 0 and j < height and i >= 0 and i < width:
+                    other = gains[j, i] if gains[j, i] > 0 else gain
+                    is_even &= abs(own - other) <= most
+            n += is_even
+    return n
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def scale_rows(rows, background, factor, out):
     """out = rows * factor / 65536, rounded, at most 255; saturated values may be brighter, as far as the background is.
 
-    rows, background, out : (H, 3 W) uint8.  factor : (3 W,) int64. A lamp that is 255 in both pictures must not differ
-    because the rest has become brighter.
+    rows, background, out : (H, 3 W) uint8.  factor : (3,) uint32 of red, green and blue, below 2^24. A lamp that is 255
+    in both pictures must not differ because the rest has become brighter.
     """
-    factor32 = factor.astype(np.uint32)
+    factors = np.empty(rows.shape[1], dtype=np.uint32)
+    for i in range(factors.shape[0]):
+        factors[i] = factor[i % 3]
     for y in range(rows.shape[0]):
         a, b, o = rows[y], background[y], out[y]
+        # Cast back after every step: products of 64 bits would take twice as long.
         for i in range(a.shape[0]):
-            scaled = min((np.uint32(a[i]) * factor32[i] + np.uint32(32768)) >> np.uint32(16), np.uint32(255))
-            o[i] = np.uint8(max(scaled, np.uint32(b[i])) if a[i] >= _SATURATED else scaled)
+            product = np.uint32(np.uint32(a[i]) * factors[i])
+            scaled = np.uint32(np.uint32(product + np.uint32(32768)) >> np.uint32(16))
+            o[i] = np.uint8(min(scaled, np.uint32(255)))
+        for i in range(a.shape[0]):
+            o[i] = max(o[i], b[i] if a[i] >= np.uint8(_SATURATED) else np.uint8(0))
 
 
 @njit(cache=True, nogil=True)
@@ -540,22 +570,22 @@ def _column_sums(plane, row, half, x, n, sums, p):
 
 
 @njit(cache=True, nogil=True)
-def tell_apart(mask, dark, shadow, doubtful):
-    """shadow = 1 where it is dark beside the mask, doubtful = 1 where it is dark in it; pixels of mask and shadow.
+def tell_apart(mask, dark, doubtful):
+    """Leave of what is dark the shadow beside the mask; doubtful = 1 where it is in it; pixels of mask and shadow.
 
-    All (h, w) uint8.  mask : 0 or 1.  dark : 0, SHADOW, or DOUBTFUL, which beside the mask is nothing.
+    All (h, w) uint8.  mask : 0 or 1.  dark : 0, SHADOW, or DOUBTFUL, which beside the mask is nothing; 0 or 1 out.
     """
     n_mask, n_shadow = 0, 0
     for y in range(mask.shape[0]):
-        m, d, s, o = mask[y], dark[y], shadow[y], doubtful[y]
-        for i in range(m.shape[0]):
-            s[i] = np.uint8((d[i] == SHADOW) & (m[i] == 0))
+        m, d, o = mask[y], dark[y], doubtful[y]
         for i in range(m.shape[0]):
             o[i] = np.uint8((d[i] > 0) & (m[i] != 0))
         for i in range(m.shape[0]):
+            d[i] = np.uint8((d[i] == SHADOW) & (m[i] == 0))
+        for i in range(m.shape[0]):
             n_mask += m[i]
         for i in range(m.shape[0]):
-            n_shadow += s[i]
+            n_shadow += d[i]
     return n_mask, n_shadow
 
 

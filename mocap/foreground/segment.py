@@ -245,12 +245,12 @@ class Segmenter:
         if self.settings.compensate_gain:
             rows = self._without_gain(rows)
             self._follow_noise(rows)
-        shadow = np.zeros(self.shape[:2], dtype=np.uint8)
+        dark = np.zeros(self.shape[:2], dtype=np.uint8)
         windows = self._windows(rows)
-        mask = self._joined([self._split(rows, window, shadow) for window in windows])
+        mask = self._joined([self._split(rows, window, dark) for window in windows])
         if self.settings.adaptation > 0 or self.settings.hold_frames is not None:
             self._adapt(rows, protect)
-        return self._answer(mask, shadow, windows)
+        return self._answer(mask, dark, windows)
 
     def _check(self, image: Image, protect: Mask | None) -> None:
         """ValueError for pictures of another kind than the background."""
@@ -278,17 +278,18 @@ class Segmenter:
         return mask
 
     def _answer(self, mask: Bytes, dark: Bytes, windows: list[_Window]) -> ForegroundMask:
-        """dark : (H, W) uint8, SHADOW or DOUBTFUL; what is foreground is no shadow.  windows : with all of both."""
-        shadow, doubtful = np.zeros_like(mask), np.zeros_like(mask)
+        """dark : (H, W) uint8, SHADOW or DOUBTFUL, becomes the shadow: what is foreground is none.  windows : with all
+        of both."""
+        doubtful = np.zeros_like(mask)
         n_mask, n_shadow = 0, 0
         for window in windows:
             here = window.slices
-            n, m = _kernels.tell_apart(mask[here], dark[here], shadow[here], doubtful[here])
+            n, m = _kernels.tell_apart(mask[here], dark[here], doubtful[here])
             n_mask, n_shadow = n_mask + n, n_shadow + m
         share = n_mask / mask.size
         whole = reduce(_Window.joined, windows) if windows else _Window(0, 0, 0, 0)
         return ForegroundMask(
-            mask.view(np.bool_), shadow.view(np.bool_), doubtful.view(np.bool_), share, n_shadow / mask.size,
+            mask.view(np.bool_), dark.view(np.bool_), doubtful.view(np.bool_), share, n_shadow / mask.size,
             share <= self.settings.max_foreground_share, (whole.x0, whole.x1 - 1, whole.y0, whole.y1 - 1),
         )  # fmt: skip
 
@@ -310,7 +311,7 @@ class Segmenter:
             # Else no light explains it: another place, another camera.
         if np.abs(gain - 1).max() < 0.004:
             return rows
-        factor = np.tile(np.round(65536 / np.clip(gain, 0.5, 2.0)).astype(np.int64), self.shape[1])
+        factor = np.round(65536 / np.clip(gain, 0.5, 2.0)).astype(np.uint32)
         out = np.empty_like(rows)
         _kernels.scale_rows(rows, self._background, factor, out)
         return out
@@ -371,11 +372,11 @@ class Segmenter:
         cells = np.empty((-(-height // h), -(-width // w)), dtype=np.float32)
         for step in _LIGHT_STEPS_PX:  # a quick look first, at most pictures the only one
             _kernels.cell_gains(rows, self._background, self._near, _scaled_px(step, self.shape), w, h, cells)
-            known = cells > 0
-            cells[~known] = gain
-            uneven = known & _without_jumps(cells, _JUMP * gain) & (np.abs(cells - gain) > _UNEVEN * gain)
-            if np.count_nonzero(uneven) < _UNEVEN_SHARE * cells.size:
+            levels = (np.float32(level) for level in (gain, _UNEVEN * gain, _JUMP * gain))
+            if _kernels.count_uneven(cells, *levels) < _UNEVEN_SHARE * cells.size:
                 return None
+        known = cells > 0
+        cells[~known] = gain
         even = known & (np.abs(cells - cv2.medianBlur(cells, 5)) < _JUMP * gain)
         near = cv2.GaussianBlur(even.astype(np.float32), (0, 0), 1.0)
         around = cv2.GaussianBlur(np.where(even, cells, np.float32(0)), (0, 0), 1.0)
@@ -516,18 +517,6 @@ def _without_overlaps(windows: list[_Window]) -> list[_Window]:
                 window = window.joined(other)
         apart.append(window)
     return apart
-
-
-def _without_jumps(cells: NDArray[np.float32], most: float) -> Mask:
-    """Cells (ny, nx) that differ from none beside, above or below them by more than `most`."""
-    down = np.abs(np.diff(cells, axis=0)) > most
-    across = np.abs(np.diff(cells, axis=1)) > most
-    even = np.ones(cells.shape, dtype=np.bool_)
-    even[:-1] &= ~down
-    even[1:] &= ~down
-    even[:, :-1] &= ~across
-    even[:, 1:] &= ~across
-    return even
 
 
 def _count_in_cells(mask: Bytes) -> NDArray[np.int32]:

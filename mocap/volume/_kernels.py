@@ -411,23 +411,22 @@ def uncovered_shares(own, cells, rects, hulls, hull_cells, expected, limits, col
 
 
 @njit(cache=True, nogil=True)
-def light_of(picture, steps, before, is_known):
-    """Mean and standard deviation of the green of some pixels of a picture, and their mean change; grey levels.
+def light_of(samples, before):
+    """Mean and standard deviation of some pixels of a picture, and their mean change since the last; grey levels.
 
-    picture : (H, W, 3) uint8.  steps : every so many rows and columns are looked at.  before : (rows, columns) uint8,
-    those pixels of the last picture, in and out.  is_known : there was one; else the change is NaN.
+    samples, before : (rows, columns) uint8.
     """
     total, square, change = 0, 0, 0
-    for j in range(before.shape[0]):
-        for i in range(before.shape[1]):
-            value = np.int64(picture[j * steps[0], i * steps[1], 1])
+    for j in range(samples.shape[0]):
+        now, then = samples[j], before[j]
+        for i in range(now.shape[0]):
+            value = np.int64(now[i])
             total += value
             square += value * value
-            change += abs(value - np.int64(before[j, i]))
-            before[j, i] = value
-    n = before.size
+            change += abs(value - np.int64(then[i]))
+    n = samples.size
     mean = total / n
-    return mean, math.sqrt(max(square / n - mean * mean, 0.0)), change / n if is_known else math.nan
+    return mean, math.sqrt(max(square / n - mean * mean, 0.0)), change / n
 
 
 @njit(cache=True, nogil=True)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from mocap.data import Camera, CameraRig, Occluders, VoxelGrid
 from mocap.geometry.projection import max_normalised_radius
-from mocap.volume import _carve_kernels, _occluder_kernels
+from mocap.volume import _carve_kernels, _mask_kernels, _occluder_kernels
 from mocap.volume._carve_kernels import Blocks, InnerBlocks, Integrals, Rule, Silhouettes, Tables
 
 Array = NDArray[np.float64]
@@ -87,6 +87,15 @@ def pixels_of_points(camera: Camera, points_world: Array) -> NDArray[np.int32]:
     """
     out = np.empty(len(points_world), dtype=np.int32)
     _project(camera, np.ascontiguousarray(np.asarray(points_world, dtype=np.float64).T), out)
+    return out
+
+
+def pixels_in_all(rig: CameraRig, points_world: Array) -> NDArray[np.int32]:
+    """`pixels_of_points` of every camera, (C, n) int32."""
+    out = np.empty((len(rig), len(points_world)), dtype=np.int32)
+    xyz = np.ascontiguousarray(points_world.T)
+    for camera, own in zip(rig, out, strict=True):
+        _project(camera, xyz, own)
     return out
 
 
@@ -487,18 +496,14 @@ class Carver:
             width, height = camera.size
             begin = int(self._mask_start[c])
             own = self._masks[begin : begin + width * height].reshape(height, width)
-            u0, u1, v0, v1 = self._rect[c]
-            own[v0 : v1 + 1, u0 : u1 + 1] = 0
-            bits = np.ascontiguousarray(mask).view(np.uint8)
-            u0, v0, w, h = cv2.boundingRect(bits)
-            self._rect[c] = u0, u0 + w - 1, v0, v0 + h - 1
-            if w == 0:
+            _mask_kernels.copy_foreground(np.ascontiguousarray(mask).view(np.uint8), own, self._rect[c])
+            u0, u1, v0, v1 = self._rect[c].tolist()
+            if u1 < 0:
                 continue
-            part = own[v0 : v0 + h, u0 : u0 + w]
-            part[...] = bits[v0 : v0 + h, u0 : u0 + w]
+            h, w = v1 + 1 - v0, u1 + 1 - u0
             begin = int(self._integral_start[c])
             sums = self._integral[begin : begin + (w + 1) * (h + 1)].reshape(h + 1, w + 1)
-            cv2.integral(part, sums, cv2.CV_32S)
+            cv2.integral(own[v0 : v1 + 1, u0 : u1 + 1], sums, cv2.CV_32S)
 
     @property
     def _silhouettes(self) -> Silhouettes:
@@ -611,8 +616,7 @@ class Carver:
 
     def pixels(self, voxels: Voxels) -> NDArray[np.int32]:
         """Flat pixel index of each voxel in each camera, (N, C) int32; -1 outside the view."""
-        centers = self.grid.centers(voxels)
-        return np.column_stack([pixels_of_points(camera, centers) for camera in self.rig])
+        return np.ascontiguousarray(pixels_in_all(self.rig, self.grid.centers(voxels)).T)
 
     def judged_pixels(self, voxels: Voxels, pixels: NDArray[np.int32]) -> NDArray[np.int32]:
         """The pixels (N, C) of voxels (N,), -1 also where a voxel lies behind an occluder."""

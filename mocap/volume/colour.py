@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.data import CameraRig, Hull, VoxelGrid
 from mocap.volume import _kernels
-from mocap.volume.carve import pixels_of_points
+from mocap.volume.carve import pixels_in_all
 from mocap.volume.surface import check_voxels
 
 Voxels = NDArray[np.int32]
@@ -63,14 +63,12 @@ def _surface_views(
     v = check_voxels(voxels, grid)
     outer = np.flatnonzero(is_surface)
     visible = np.zeros((len(outer), len(rig)), dtype=np.bool_, order="F")
-    pixels = np.empty((len(outer), len(rig)), dtype=np.int32, order="F")
     if len(outer) == 0:
-        return outer, visible, pixels
+        return outer, visible, np.empty((0, len(rig)), dtype=np.int32, order="F")
     subs, lower, upper = _kernels.subscripts_and_bounds(v, grid.shape[1], grid.shape[2])
     outer_subs = subs[outer]
     centers = grid.origin + (outer_subs + 0.5) * grid.voxel_size_m
-    for c, camera in enumerate(rig):
-        pixels[:, c] = pixels_of_points(camera, centers)
+    pixels = pixels_in_all(rig, centers).T
     if visibility == "line":
         crop = np.full(tuple(upper - lower + 2), 2, dtype=np.uint8)
         crop[1:-1, 1:-1, 1:-1] = 0

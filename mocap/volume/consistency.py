@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import CameraRig, Occluders, VoxelGrid
-from mocap.volume import _kernels
+from mocap.volume import _kernels, _mask_kernels
 from mocap.volume.carve import Carver, check_masks
 from mocap.volume.components import connected_components
 from mocap.volume.rig_agreement import MaskSample
@@ -30,7 +30,7 @@ Small = NDArray[np.uint8]
 Voxels = NDArray[np.int32]
 
 MAX_LAG_FRAMES = 8
-SHRINK = 4  # picture pixels per cell of the small masks
+SHRINK = _mask_kernels.CELL_PX  # picture pixels per cell of the small masks
 _FOOTPRINT = 1.2  # width of a painted voxel, as in residuals.py
 _MIN_VIEWS = 4
 MIN_CELLS = 12  # a silhouette with fewer cells says nothing
@@ -68,6 +68,18 @@ class Snapshot:
 
 
 @dataclass(frozen=True, eq=False)
+class Glimpse:
+    """What is looked at of the pictures of one frame: their green, which says of light what all of it would.
+
+    samples : of each camera (rows, columns) uint8, pixels of a lattice.  small : (C, h, w) uint8, reduced pictures, in
+    the frames of which a snapshot is kept; None in others.
+    """
+
+    samples: tuple[Small, ...]
+    small: Small | None
+
+
+@dataclass(frozen=True, eq=False)
 class SilhouetteEvidence:
     """Numbers per frame and camera that camera faults are told by.
 
@@ -97,7 +109,7 @@ class SilhouetteEvidence:
 
 
 class ConsistencyMonitor:
-    """Collects evidence frame by frame: `add` every frame in order, then `evidence`.
+    """Collects evidence frame by frame: `add` every frame in order, with a `glimpse` of its pictures, then `evidence`.
 
     grid : where persons may be; it is resampled at voxel_size_m, because silhouettes of a coarse hull will do.
     occluders : what stands before people; who is hidden from a camera is not expected in its mask.
@@ -124,15 +136,33 @@ class ConsistencyMonitor:
         self._axes = np.array([[*c.R[2], c.t[2]] for c in rig])
         self._recent: deque[_Frame] = deque(maxlen=MAX_LAG_FRAMES + 1)
         self._rows: list[_Row] = []
-        self._samples: tuple[Image, ...] | None = None
+        self._samples: tuple[Small, ...] | None = None
         self._snapshots = _Spread[Snapshot](_MAX_SNAPSHOTS, n_frames)
+        self._small_pictures = _Cadence(_MAX_SNAPSHOTS, n_frames)
         self._samples_of_masks = _Spread[_Packed](_MAX_SAMPLES)
         self._bursts = _Spread[list[list[Array]]](_MAX_BURSTS)
         self._burst: list[list[Array]] | None = None
         self._places: Array = np.zeros((0, 3))
 
-    def add(self, frame: int, masks: Sequence[Mask], images: Sequence[Image] | None = None) -> None:
-        """Take one frame: one mask (H, W) bool per camera and, if there are, one picture (H, W, 3) uint8."""
+    def glimpse(self, images: Sequence[Image]) -> Glimpse:
+        """What `add` wants of the pictures of the next frame, (H, W, 3) uint8 per camera.
+
+        Apart from it because pictures are large: it may be called in another process, as long as it is called for every
+        frame.
+        """
+        down, across = _SAMPLE_STEPS
+        samples = tuple(np.ascontiguousarray(image[::down, ::across, 1]) for image in images)
+        if not self._small_pictures.takes_next():
+            return Glimpse(samples, None)
+        small = np.zeros((len(images), *self._size), dtype=np.uint8)
+        for own, image in zip(small, images, strict=True):
+            h, w = image.shape[0] // SHRINK, image.shape[1] // SHRINK
+            green = cv2.extractChannel(image, 1)
+            own[:h, :w] = cv2.resize(green, (w, h), interpolation=cv2.INTER_AREA)
+        return Glimpse(samples, small)
+
+    def add(self, frame: int, masks: Sequence[Mask], glimpse: Glimpse | None = None) -> None:
+        """Take one frame: one mask (H, W) bool per camera and, if there are pictures, what was seen of them."""
         check_masks(self.rig, masks)
         now = _Frame(self._shrunk(masks), self._silhouettes(masks))
         row = _Row(frame, len(self.rig))
@@ -145,11 +175,12 @@ class ConsistencyMonitor:
             size = np.maximum(row.mask_cells, self._rows[-1].mask_cells)
             with np.errstate(invalid="ignore", divide="ignore"):
                 row.change[:] = np.where(size >= MIN_CELLS, changed / size, np.nan)
-        self._look_at(images, row)
+        if glimpse is not None:
+            self._tell_light(glimpse.samples, row)
         self._rows.append(row)
         self._recent.append(now)
         self._compare()
-        self._snapshots.add(lambda: self._snapshot(frame, now, images))
+        self._snapshots.add(lambda: Snapshot(frame, now.masks, now.hulls, _own(glimpse)))
         self._outline(masks)
         if len(self._places):
             self._samples_of_masks.add(
@@ -229,21 +260,10 @@ class ConsistencyMonitor:
 
     def _shrunk(self, masks: Sequence[Mask]) -> Small:
         """(C, h, w) uint8: cells of which at least half is foreground."""
-        small = np.zeros((len(masks), *self._size), dtype=np.uint8)
-        for own, mask in zip(small, masks, strict=True):
-            u, v, w, h = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
-            if w == 0:
-                continue
-            # Whole cells around the foreground; what hangs over the picture's edge is cut.
-            x0, y0 = u // SHRINK, v // SHRINK
-            x1 = min(-(-(u + w) // SHRINK), mask.shape[1] // SHRINK)
-            y1 = min(-(-(v + h) // SHRINK), mask.shape[0] // SHRINK)
-            if x1 > x0 and y1 > y0:
-                part = mask[y0 * SHRINK : y1 * SHRINK, x0 * SHRINK : x1 * SHRINK].astype(np.uint8) * np.uint8(
-                    255
-                )
-                own[y0:y1, x0:x1] = cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA) >= 128
-        return small
+        counts = np.zeros((len(masks), *self._size), dtype=np.uint8)
+        for own, mask in zip(counts, masks, strict=True):
+            _mask_kernels.count_in_cells(np.ascontiguousarray(mask).view(np.uint8), own)
+        return (counts >= SHRINK**2 // 2).view(np.uint8)
 
     def _silhouettes(self, masks: Sequence[Mask]) -> Small:
         """(C, h, w) uint8 silhouettes of the others' hulls."""
@@ -290,16 +310,12 @@ class ConsistencyMonitor:
         pixels[:, n_open < _OPEN_SHARE * n_inside] = -1
         return pixels
 
-    def _look_at(self, images: Sequence[Image] | None, row: _Row) -> None:
-        if images is None:
-            return
-        is_known = self._samples is not None
-        if self._samples is None:
-            down, across = _SAMPLE_STEPS
-            self._samples = tuple(np.zeros_like(i[::down, ::across, 1]) for i in images)
-        for c, (image, sample) in enumerate(zip(images, self._samples, strict=True)):
-            light = _kernels.light_of(image, _SAMPLE_STEPS, sample, is_known)
-            row.brightness[c], row.contrast[c], row.picture_change[c] = light
+    def _tell_light(self, samples: tuple[Small, ...], row: _Row) -> None:
+        """Brightness, contrast and change of the pictures, as a lattice of their pixels shows them."""
+        for c, (now, before) in enumerate(zip(samples, self._samples or samples, strict=True)):
+            row.brightness[c], row.contrast[c], change = _kernels.light_of(now, before)
+            row.picture_change[c] = np.nan if self._samples is None else change
+        self._samples = samples
 
     def _compare(self) -> None:
         """Fill in what the newest frame says about the lags between it and the frames before."""
@@ -310,43 +326,56 @@ class ConsistencyMonitor:
             if lag:
                 row.enter(MAX_LAG_FRAMES - lag, then, now)
 
-    def _snapshot(self, frame: int, now: _Frame, images: Sequence[Image] | None) -> Snapshot:
-        pictures = None
-        if images is not None:
-            pictures = np.zeros((len(images), *self._size), dtype=np.uint8)
-            for own, image in zip(pictures, images, strict=True):
-                h, w = image.shape[0] // SHRINK, image.shape[1] // SHRINK
-                grey = cv2.extractChannel(image, 1)
-                own[:h, :w] = cv2.resize(grey, (w, h), interpolation=cv2.INTER_AREA)
-        return Snapshot(frame, now.masks, now.hulls, pictures)
-
 
 _Item = TypeVar("_Item")
 
 
-class _Spread(Generic[_Item]):
-    """Some of the things that were offered, evenly spread over all of them: at most so many, and at least half.
+class _Cadence:
+    """Which of the things that are offered one after the other are taken: those that stay are every `step`-th, at most
+    so many, and at least half as many.
 
-    n_expected : how many will be offered, as far as is known: what would not be kept is not even made.
+    n_expected : how many will be offered, as far as is known: what would not stay is not even taken.
     """
 
     def __init__(self, most: int, n_expected: int = 0) -> None:
+        self.step = 1
+        self._most, self._n_offered = most, 0
+        self._widen(n_expected)
+
+    def takes_next(self) -> bool:
+        """Whether the next one is taken; `step` may double behind it."""
+        is_taken = self._n_offered % self.step == 0
+        self._n_offered += 1
+        self._widen(self._n_offered)
+        return is_taken
+
+    def _widen(self, n: int) -> None:
+        while -(-n // self.step) >= self._most:
+            self.step *= 2
+
+
+class _Spread(Generic[_Item]):
+    """The things that a `_Cadence` takes and leaves."""
+
+    def __init__(self, most: int, n_expected: int = 0) -> None:
         self.items: list[_Item] = []
-        self._most, self._step, self._n_offered = most, 1, 0
-        while -(-n_expected // self._step) >= most:
-            self._step *= 2
+        self._cadence = _Cadence(most, n_expected)
 
     def add(self, make: Callable[[], _Item]) -> _Item | None:
         """Offer the next thing, which is made only when it is taken; None when it is not."""
-        taken = None
-        if self._n_offered % self._step == 0:
-            taken = make()
-            self.items.append(taken)
-            if len(self.items) >= self._most:
-                self.items = self.items[::2]
-                self._step *= 2
-        self._n_offered += 1
+        step = self._cadence.step
+        if not self._cadence.takes_next():
+            return None
+        taken = make()
+        self.items.append(taken)
+        if self._cadence.step > step:
+            self.items = self.items[::2]
         return taken
+
+
+def _own(glimpse: Glimpse | None) -> Small | None:
+    """A copy of the reduced pictures: those of another process lie in memory that is wanted for the next frames."""
+    return None if glimpse is None or glimpse.small is None else glimpse.small.copy()
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import Camera, CameraRig, Occluders, VoxelGrid
+from mocap.volume import _mask_kernels
 from mocap.volume import _occluder_kernels as kernels
-from mocap.volume.carve import MIN_VOTES, Carver, pixels_of_points
+from mocap.volume.carve import MIN_VOTES, Carver, pixels_in_all, pixels_of_points
 from mocap.volume.components import connected_components
 from mocap.volume.surface import surface_voxels
 
@@ -32,7 +33,9 @@ Voxels = NDArray[np.int32]
 Rays = tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]  # of _rays_of
 
 EMPTY, PARTLY, FULL = 0, 1, 2  # of a cell, how much is foreground
-CELL_PX = 4  # picture pixels per cell of the maps; an edge is known no better than to a voxel of 5 cm
+CELL_PX = (
+    _mask_kernels.CELL_PX
+)  # picture pixels per cell of the maps: an edge is known no better than to a voxel of 5 cm
 VOXEL_M = 0.05
 MIN_CAMERAS = 4  # with three, a camera that is hidden leaves two, and two cones cross in many places
 _MOST_ENTRIES = 8_000_000  # voxels times cameras of the grid of votes: 64 MB of tables
@@ -287,10 +290,9 @@ def masks_by_cells(masks: Sequence[Mask]) -> list[Cells]:
     """Masks (H, W) bool reduced to cells (h, w) uint8: EMPTY, PARTLY (less than half) or FULL foreground."""
     reduced = []
     for mask in masks:
-        h, w = mask.shape[0] // CELL_PX, mask.shape[1] // CELL_PX
-        part = np.ascontiguousarray(mask[: h * CELL_PX, : w * CELL_PX]).view(np.uint8) * np.uint8(255)
-        mean = cv2.resize(part, (w, h), interpolation=cv2.INTER_AREA)
-        reduced.append((mean > 0).view(np.uint8) + (mean >= 128).view(np.uint8))
+        counts = np.empty((mask.shape[0] // CELL_PX, mask.shape[1] // CELL_PX), dtype=np.uint8)
+        _mask_kernels.count_in_cells(np.ascontiguousarray(mask).view(np.uint8), counts)
+        reduced.append((counts > 0).view(np.uint8) + (counts >= CELL_PX**2 // 2).view(np.uint8))
     return reduced
 
 
@@ -372,7 +374,7 @@ class _Squares:
 
 def _squares(rig: CameraRig, points: Array, side: float) -> _Squares:
     """Cubes of one side, m, around points (N, 3) m."""
-    cell = np.array([pixels_of_points(camera, points) for camera in rig])
+    cell = pixels_in_all(rig, points)
     depth = np.array([points @ camera.R[2] + camera.t[2] for camera in rig])
     focal = np.array([max(camera.K[0, 0], camera.K[1, 1]) for camera in rig])
     half = np.floor(0.5 * side * focal[:, None] / np.maximum(depth, side) + 0.5).astype(np.int32)

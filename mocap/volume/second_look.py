@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mocap.data import CameraRig, VoxelGrid
 from mocap.volume import _second_look_kernels as kernels
-from mocap.volume.carve import Carver, pixels_of_points
+from mocap.volume.carve import Carver, pixels_in_all
 from mocap.volume.floor import floor_behind
 from mocap.volume.residuals import FOOTPRINT
 from mocap.volume.surface import surface_voxels
@@ -66,7 +66,7 @@ class SecondLook:
         focal = np.array([max(camera.K[0, 0], camera.K[1, 1]) for camera in rig])
         self._half_at_1m = 0.5 * FOOTPRINT * grid.voxel_size_m * focal
         self._floor = _floor_of(grid)
-        self._floor_pixels = _seen_from(rig, self._floor)
+        self._floor_pixels = pixels_in_all(rig, self._floor)
         self._draw(self._floor_pixels, self._floor, kernels.FLOOR)
         self._feet = [_Feet(rig, grid, c) for c in range(len(rig))]
 
@@ -136,7 +136,7 @@ class SecondLook:
         voxels = self._carver.carve(self._either, n_faulty_views=_BLIND)
         points = self._grid.centers(voxels)
         voxels, points = voxels[points[:, 2] > _FLOOR_M], points[points[:, 2] > _FLOOR_M]
-        pixels = _seen_from(self._rig, points)
+        pixels = pixels_in_all(self._rig, points)
         against, clear = np.empty((2, len(voxels)), dtype=np.int64)
         kernels.count_against(pixels, self._bits, self._start, kernels.MASK, against)
         # Before a wall nobody says whether a shadow lies there: then no camera may speak against the person.
@@ -200,15 +200,10 @@ class _Feet:
             shown, floor = floor_behind(self._rig[self._c], self._grid, new.astype(np.int64))
             eye = self._rig[self._c].center
             places = np.concatenate([floor + height / eye[2] * (eye - floor) for height in (0.0, *_FEET_M)])
-            seen = _seen_from(self._rig, places).reshape(len(self._rig), 1 + len(_FEET_M), len(floor))
+            seen = pixels_in_all(self._rig, places).reshape(len(self._rig), 1 + len(_FEET_M), len(floor))
             seen[self._c] = -1
             self._seen[self._row[shown]] = seen.transpose(2, 1, 0)
         return self._row[pixels], self._seen
-
-
-def _seen_from(rig: CameraRig, points: Array) -> Pixels:
-    """Flat pixels (C, N) of points (N, 3) m in all cameras; -1 outside the picture."""
-    return np.stack([pixels_of_points(camera, points) for camera in rig])
 
 
 def _box_of(mask: Mask, shadow: Mask) -> tuple[int, int, int, int]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from mocap.data import Camera, CameraRig
-from mocap.volume import _kernels
+from mocap.volume import _kernels, _mask_kernels
 
 Array = NDArray[np.float64]
 
@@ -124,16 +124,18 @@ class Synchrony:
 def silhouette_hull(mask: NDArray[np.bool_]) -> Array:
     """Corners (P, 2) px of the convex hull of the large regions of a mask (H, W); (0, 2) when there is none."""
     bits = np.ascontiguousarray(mask).view(np.uint8)
-    x, y, w, h = cv2.boundingRect(bits)
-    seen = bits[y : y + h, x : x + w]
+    u0, u1, v0, v1 = _mask_kernels.rectangle_of(bits)
+    h, w = v1 + 1 - v0, u1 + 1 - u0
+    seen = bits[v0 : v1 + 1, u0 : u1 + 1]
     runs, ends = np.empty((h * (w // 2 + 1), 4), dtype=np.int32), np.empty((h, 3), dtype=np.int32)
     n = _kernels.ends_of_regions(seen, _LEAST_AREA * mask.size, _LEAST_SHARE, runs, ends)
     if n == 0:
         return np.zeros((0, 2))
     # The ends of rows are enough for the hull.
-    rows, left, right = ends[:n].T
-    at_ends = np.concatenate([np.column_stack([left, rows]), np.column_stack([right, rows])])
-    corners = cv2.convexHull((at_ends + np.array([x, y])).astype(np.float32))
+    at_ends = np.empty((2, n, 2), dtype=np.float32)
+    at_ends[:, :, 0] = ends[:n, 1:].T + u0
+    at_ends[:, :, 1] = ends[:n, 0] + v0
+    corners = cv2.convexHull(at_ends.reshape(-1, 2))
     return np.asarray(corners.reshape(-1, 2), dtype=np.float64)
 
 

@@ -93,11 +93,11 @@ def test_median_gain_and_scaling() -> None:
     )
     np.testing.assert_array_equal(found, 1.0)
 
-    factor = np.tile(np.round(65536 / gain).astype(np.int64), W)
+    factor = np.round(65536 / gain).astype(np.uint32)
     out = np.empty((H, 3 * W), np.uint8)
     image[:3] = 255
     kernels.scale_rows(image.reshape(H, -1), background.reshape(H, -1), factor, out)
-    expected = np.minimum((image.reshape(H, -1).astype(np.int64) * factor + 32768) >> 16, 255)
+    expected = np.minimum((image.reshape(H, -1).astype(np.int64) * np.tile(factor, W) + 32768) >> 16, 255)
     expected[:3] = np.maximum(expected[:3], background.reshape(H, -1)[:3])
     np.testing.assert_array_equal(out, expected)
 
@@ -330,6 +330,23 @@ def test_gains_of_cells() -> None:
     assert gains[0, 0] == 0.0
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (15, 8)])
+def test_uneven_light_is_no_jump_from_cell_to_cell(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(0)
+    gain, least, most = np.float32(1.1), np.float32(0.04), np.float32(0.1)
+    for _ in range(20):
+        gains = rng.normal(gain, 0.06, shape).astype(np.float32)
+        gains[rng.random(shape) < 0.2] = 0
+        shown = np.where(gains > 0, gains, gain)
+        jumps = [
+            np.pad(np.abs(np.diff(shown, axis=a)) > most, [(int(a == b),) * 2 for b in (0, 1)])
+            for a in (0, 1)
+        ]
+        is_even = ~(jumps[0][1:] | jumps[0][:-1] | jumps[1][:, 1:] | jumps[1][:, :-1])
+        expected = (gains > 0) & is_even & (np.abs(shown - gain) > least)
+        assert kernels.count_uneven(gains, gain, least, most) == np.count_nonzero(expected)
+
+
 @pytest.mark.parametrize(("n", "m"), [(1, 5), (2, 256), (3, 255), (24, 600), (31, 257)])
 def test_robust_statistics_of_columns(n: int, m: int) -> None:
     rng = np.random.default_rng(n)
@@ -363,15 +380,16 @@ def test_tell_apart_shadow_and_doubt() -> None:
     rng = np.random.default_rng(5)
     mask = rng.integers(0, 2, (H, W), dtype=np.uint8)
     dark = rng.integers(0, 3, (H, W), dtype=np.uint8)
-    shadow, doubtful = np.zeros((2, H, W), np.uint8)
+    found, doubtful = dark.copy(), np.zeros((H, W), np.uint8)
     window = slice(3, 30), slice(5, 41)
-    n_mask, n_shadow = kernels.tell_apart(mask[window], dark[window], shadow[window], doubtful[window])
+    n_mask, n_shadow = kernels.tell_apart(mask[window], found[window], doubtful[window])
     inside = np.zeros((H, W), bool)
     inside[window] = True
-    np.testing.assert_array_equal(shadow, inside & (dark == kernels.SHADOW) & (mask == 0))
+    np.testing.assert_array_equal(found[window], ((dark == kernels.SHADOW) & (mask == 0))[window])
+    np.testing.assert_array_equal(found[~inside], dark[~inside])
     np.testing.assert_array_equal(doubtful, inside & (dark > 0) & (mask != 0))
     assert n_mask == np.count_nonzero(mask[window])
-    assert n_shadow == np.count_nonzero(shadow)
+    assert n_shadow == np.count_nonzero(found[window])
 
 
 @pytest.mark.parametrize("step", [1, 2, 3])

@@ -66,7 +66,7 @@ def find(
 ) -> tuple[CameraFault, ...]:
     monitor = ConsistencyMonitor(RIG, GRID)
     for f in range(len(masks[0])):
-        shown = None if images is None else [camera[f] for camera in images]
+        shown = None if images is None else monitor.glimpse([camera[f] for camera in images])
         monitor.add(FIRST + f, [camera[f] for camera in masks], shown)
     return find_camera_faults(monitor.evidence())
 

@@ -45,6 +45,7 @@ from mocap.volume import (
     surface_voxels,
     usable_cameras,
 )
+from mocap.volume.consistency import Glimpse
 from mocap.volume.depth import DepthView, is_free, measured_surface
 from mocap.volume.known_persons import completed, nobodys
 from mocap.volume.phantoms import phantoms
@@ -211,6 +212,19 @@ class _Walk:
             used &= np.array([len(picture) > 0 for picture in seen.pictures])
         return used
 
+    @property
+    def judged(self) -> list[int]:
+        """The cameras that the monitor judges, by their place in the rig."""
+        return (
+            [] if self.monitor is None else [self.carving.rig.names.index(n) for n in self.monitor.rig.names]
+        )
+
+    def glimpse(self, seen: Seen) -> Glimpse | None:
+        """What the monitor is to know of the pictures."""
+        if self.monitor is None or seen.pictures is None:
+            return None
+        return self.monitor.glimpse([seen.pictures[c] for c in self.judged])
+
 
 def _reads(job: Job) -> Sources:
     masks: Sources = {"masks": read_masks(job.store, job.session)}
@@ -254,16 +268,14 @@ def _step(walk: _Walk, seen: Seen) -> tuple[_Walk, Seen, Sequence[Row]]:
         measured[hull.is_surface] = measured_surface(hull.voxels[hull.is_surface], hull.grid, views)
     pixels = sample_silhouettes(seen.masks, seen.pictures, used)
     row = hull_row(hull, unknown, used, pixels, measured)
-    return walk, replace(seen, hull=hull), [Row(PRODUCT, seen.frame, row)]
+    return walk, replace(seen, hull=hull, begun=walk.glimpse(seen)), [Row(PRODUCT, seen.frame, row)]
 
 
 def _then(walk: _Walk, seen: Seen) -> tuple[Seen, Sequence[Row]]:
     """Hold the masks of the cameras that are judged against the hulls of the others."""
     if walk.monitor is not None:
         assert seen.masks is not None
-        rows = [walk.carving.rig.names.index(name) for name in walk.monitor.rig.names]
-        pictures = None if seen.pictures is None else [seen.pictures[c] for c in rows]
-        walk.monitor.add(seen.frame, [seen.masks[c] for c in rows], pictures)
+        walk.monitor.add(seen.frame, [seen.masks[c] for c in walk.judged], seen.begun)
     return seen, ()
 
 
@@ -372,7 +384,7 @@ def _remedy(fault: CameraFault) -> str:
     )
 
 
-_WORK = FrameWork(_reads, _start, _step, _finish, finds=("hull",), then=_then, apart=("masks", "pictures"))
+_WORK = FrameWork(_reads, _start, _step, _finish, finds=("hull",), then=_then, apart=("masks",))
 CARVE = Stage(
     name="carve",
     until="carve",
