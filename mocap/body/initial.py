@@ -22,7 +22,11 @@ _FEET_M = 0.15  # a hull that begins higher above the floor is cut off, by a tab
 HIGHEST_STANDING_TOP_M = 2.20
 DEFAULT_HEIGHT_M = 1.72
 _HEAD_SEARCH_M = 0.9
-_HEAD_AREA_M2 = 0.010
+# Areas of the slices of a hull: a crown's, larger than a forearm's, and a head's so far below it, of people who are not
+# smaller than that. Heads of grown-up people have 0.023 to 0.035 there (dances and walks before four to seven cameras),
+# hands and forearms 0.005 to 0.012.
+_CROWN_AREA_M2 = 0.010
+_HEAD_AREA_M2, _HEAD_DEPTH_M, _HEAD_OF_M = 0.018, 0.08, 1.75
 
 # Name of the pose and joint angles that differ from the neutral state; mirrored names are written out.
 _POSES: dict[str, dict[str, float]] = {
@@ -96,9 +100,9 @@ class HeightEstimate:
 def head_top(centers: Array, voxel_size_m: float) -> float:
     """Height of the crown of the head in one person's hull, m; NaN for an empty hull.
 
-    centers : (N, 3) m, voxel centres. Raised arms may be the highest voxels, so the highest slice counts whose
-    largest connected piece is as large as a head and larger than a forearm (0.01 m^2); the crown is 15 mm above
-    it.
+    centers : (N, 3) m, voxel centres. Raised arms may be the highest voxels, so the highest slice counts in which a
+    connected piece is as large as a crown and lies upon one that is as large as a head: hands and forearms do not
+    widen like that, of which few cameras may leave as much as a crown. The head's top is 15 mm above that slice.
     """
     if len(centers) == 0:
         return float("nan")
@@ -107,13 +111,24 @@ def head_top(centers: Array, voxel_size_m: float) -> float:
     cell = np.round((high - high.min(axis=0)) / voxel_size_m).astype(int)
     slices = np.zeros(tuple(cell.max(axis=0) + 1), dtype=np.uint8)
     slices[cell[:, 0], cell[:, 1], cell[:, 2]] = 1
+    deep, bottom = max(1, round(_HEAD_DEPTH_M / voxel_size_m)), float(high[:, 2].min())
     for iz in range(slices.shape[2] - 1, -1, -1):
-        _, _, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(slices[:, :, iz]))
-        areas = stats[1:, cv2.CC_STAT_AREA] * voxel_size_m**2
-        if areas.size and areas.max() >= _HEAD_AREA_M2:
-            z = float(high[:, 2].min()) + iz * voxel_size_m
+        z = bottom + iz * voxel_size_m
+        head_m2 = _HEAD_AREA_M2 * min(z / _HEAD_OF_M, 1.0) ** 2
+        crown = _on_pieces(slices[:, :, iz], _CROWN_AREA_M2 / voxel_size_m**2)
+        if crown.any() and (
+            iz < deep or (crown & _on_pieces(slices[:, :, iz - deep], head_m2 / voxel_size_m**2)).any()
+        ):
             return min(z + 0.5 * voxel_size_m + 0.015, top + 0.5 * voxel_size_m)
     return top + 0.5 * voxel_size_m
+
+
+def _on_pieces(cells: NDArray[np.uint8], least: float) -> NDArray[np.bool_]:
+    """Which of the cells (nx, ny) belong to a connected piece of at least so many."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(cells))
+    is_large = stats[:, cv2.CC_STAT_AREA] >= least
+    is_large[0] = False  # what is no piece
+    return np.asarray(is_large[labels])
 
 
 def lowest_of(centers: Array) -> float:
