@@ -19,10 +19,6 @@ from mocap.likelihood.residuals._pull_kernels import (
     taper_of,
 )
 
-# Scales of the robust loss: flesh that is further out is pulled by a hundredth of what it would be with a plain square,
-# and not worth a search for where it would be pulled to.
-_FAR = 3.0
-
 
 class Rays(NamedTuple):
     """Rays through outline points.  origins, directions, normals : (M, 3), world; see `outlines.Outlines`.  columns :
@@ -44,15 +40,15 @@ class Pinholes(NamedTuple):
 
 
 class Crops(NamedTuple):
-    """A crop of each camera's silhouette.
+    """Nearest silhouette pixels in a crop of each picture.
 
-    corner : (C, 2) picture coordinates of a crop's first pixel.  inside : flat uint8, the pixels of every camera's
-    crop, 0 where nobody can be.  first : (C,) where a camera's crop starts in it.  shape : (C, 2) height and width, 0
-    without a usable silhouette.
+    corner : (C, 2) picture coordinates of a crop's first pixel.  nearest : flat int32, for the pixels of every camera's
+    crop the linear index, within the crop, of the nearest silhouette pixel.  first : (C,) where a camera's crop starts
+    in it.  shape : (C, 2) height and width, 0 without a usable silhouette.
     """
 
     corner: NDArray[np.int64]
-    inside: NDArray[np.uint8]
+    nearest: NDArray[np.int32]
     first: NDArray[np.int64]
     shape: NDArray[np.int64]
 
@@ -77,31 +73,18 @@ class OutlineTerms(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def nearest_inside(inside, first, height, width, column, row, reach):
-    """Column and row of the pixel of a crop that is inside and nearest to one of its pixels; -1 and -1 when there is
-    none within reach, in pixels.
-
-    inside : flat, the crop's pixels from `first` on. Squares around the pixel are looked at, from small to large.
-    """
-    best = reach * reach + 1
-    best_column = -1
-    best_row = -1
-    # A square lies at its distance or further.
-    side = 0
-    while side * side < best:
-        for r in range(max(row - side, 0), min(row + side, height - 1) + 1):
-            down = (r - row) * (r - row)
-            step = 1 if abs(r - row) == side else max(2 * side, 1)
-            for c in range(column - side, column + side + 1, step):
-                if c < 0 or c >= width or inside[first + r * width + c] == 0:
-                    continue
-                squared = down + (c - column) * (c - column)
-                if squared < best:
-                    best = squared
-                    best_column = c
-                    best_row = r
-        side += 1
-    return best_column, best_row
+def nearest_of_labels(labels, inside):
+    """Linear index of the pixel inside (H, W) that carries each pixel's label, (H, W) int32; every label has one."""
+    flat = labels.ravel()
+    is_inside = inside.ravel()
+    home = np.zeros(flat.max() + 1, dtype=np.int32)
+    for i in range(flat.shape[0]):
+        if is_inside[i]:
+            home[flat[i]] = i
+    near = np.empty(flat.shape[0], dtype=np.int32)
+    for i in range(flat.shape[0]):
+        near[i] = home[flat[i]]
+    return near.reshape(labels.shape)
 
 
 @njit(cache=True, nogil=True)
@@ -246,11 +229,10 @@ def _is_beyond(u, v, intrinsics, camera):
 def body_to_silhouettes(points, point_joint, cameras, crops, pull, pulls):
     """Pull flesh points (M, 3) that project outside a silhouette back to its nearest pixel; returns the robust cost.
 
-    A point that falls outside a crop is taken to the crop's border first. One that is far from the silhouette costs
-    what is far, and is not pulled.
+    A point that falls outside a crop is taken to the crop's border first.
     """
     R_cam, t_cam, intrinsics = cameras
-    corner, inside, first, shape = crops
+    corner, nearest, first, shape = crops
     scale, gain = pull.flesh_scale_m, pull.flesh_gain
     cost = 0.0
     for v in range(R_cam.shape[0]):
@@ -285,20 +267,15 @@ def body_to_silhouettes(points, point_joint, cameras, crops, pull, pulls):
                 continue
             col = min(max(math.floor(u - corner[v, 0] + 0.5), 0), width - 1)
             row = min(max(math.floor(w - corner[v, 1] + 0.5), 0), height - 1)
-            metre_px = 0.5 * (fx + fy) / cam2
-            reach = math.ceil(_FAR * scale * metre_px)
-            near_col, near_row = nearest_inside(inside, first[v], height, width, col, row, reach)
-            if near_col < 0:
-                own += robust_loss(_FAR * scale, scale, gain)[0]
-                continue
-            du = u - (corner[v, 0] + near_col)
-            dw = w - (corner[v, 1] + near_row)
+            pixel = nearest[first[v] + row * width + col]
+            du = u - (corner[v, 0] + pixel % width)
+            dw = w - (corner[v, 1] + pixel // width)
             pixels = math.sqrt(du * du + dw * dw)
             if pixels < 1.0:
                 continue
             du /= pixels
             dw /= pixels
-            metres = (pixels - 0.5) / metre_px
+            metres = (pixels - 0.5) * cam2 / (0.5 * (fx + fy))
             loss, weight = robust_loss(metres, scale, gain)
             own += loss
             if weight > 1e-4 * gain:

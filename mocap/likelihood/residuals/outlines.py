@@ -27,6 +27,7 @@ from mocap.likelihood.residuals._outline_kernels import (
     Pinholes,
     Rays,
     are_inside,
+    nearest_of_labels,
     outline_equations,
     rays_through,
     slopes_at,
@@ -134,7 +135,8 @@ class Outlines:
 
     origins, directions, normals : (M, 3) rays through outline points, and the outward normal of the outline turned
     into the world, unit length, orthogonal to the ray.  camera : (M,) index.
-    crops : of each camera's silhouette, as the kernel `body_to_silhouettes` takes them.
+    nearest, first, shape, corner : nearest silhouette pixel of every pixel of each camera's crop, as the kernel
+    `body_to_silhouettes` takes it; a camera without a usable silhouette has shape (0, 0).
     """
 
     rig: CameraRig
@@ -142,7 +144,10 @@ class Outlines:
     directions: Array
     normals: Array
     camera: NDArray[np.int64]
-    crops: Crops
+    nearest: NDArray[np.int32]
+    first: NDArray[np.int64]
+    shape: NDArray[np.int64]
+    corner: NDArray[np.int64]
 
     @property
     def n_points(self) -> int:
@@ -151,7 +156,7 @@ class Outlines:
     @property
     def n_cameras(self) -> int:
         """Cameras with a usable silhouette."""
-        return int(np.count_nonzero(self.crops.shape[:, 0]))
+        return int(np.count_nonzero(self.shape[:, 0]))
 
 
 def person_outlines(
@@ -174,7 +179,7 @@ def person_outlines(
     hides him, and nobody is pulled out of there.
     """
     parts: list[tuple[Array, Array, Array, NDArray[np.int64]]] = []
-    crops: list[NDArray[np.uint8]] = []
+    nearest: list[NDArray[np.int32]] = []
     first, shape, corner = (np.zeros((len(views), n), dtype=np.int64) for n in (1, 2, 2))
     filled = 0
     for v, view in enumerate(views):
@@ -184,13 +189,13 @@ def person_outlines(
         found = _camera_outline(view, masks[v], behind, hull_points, other_points, n_points)
         if found is None:
             continue
-        uv, normal_px, inside, low = found
+        uv, normal_px, near, low = found
         rays, normals = rays_through(uv, normal_px, view.camera.K, view.camera.R)
         origins = np.tile(view.camera.center, (len(uv), 1))
         parts.append((origins, rays, normals, np.full(len(uv), v, dtype=np.int64)))
-        crops.append(inside.ravel())
-        first[v], shape[v], corner[v] = filled, inside.shape, low
-        filled += inside.size
+        nearest.append(near.ravel())
+        first[v], shape[v], corner[v] = filled, near.shape, low
+        filled += near.size
     empty = np.zeros((0, 3))
     return Outlines(
         rig=rig,
@@ -198,12 +203,10 @@ def person_outlines(
         directions=np.ascontiguousarray(np.concatenate([p[1] for p in parts])) if parts else empty,
         normals=np.ascontiguousarray(np.concatenate([p[2] for p in parts])) if parts else empty,
         camera=np.concatenate([p[3] for p in parts]) if parts else np.zeros(0, dtype=np.int64),
-        crops=Crops(
-            corner,
-            np.concatenate(crops) if crops else np.zeros(0, dtype=np.uint8),
-            first[:, 0].copy(),
-            shape,
-        ),
+        nearest=np.concatenate(nearest) if nearest else np.zeros(0, dtype=np.int32),
+        first=first[:, 0].copy(),
+        shape=shape,
+        corner=corner,
     )
 
 
@@ -219,8 +222,8 @@ def _camera_outline(
     hull_points: Array,
     other_points: Array | None,
     n_points: int,
-) -> tuple[Array, Array, NDArray[np.uint8], NDArray[np.int64]] | None:
-    """Outline points (M, 2) px, outward normals (M, 2), where in a crop the person can be, and its corner."""
+) -> tuple[Array, Array, NDArray[np.int32], NDArray[np.int64]] | None:
+    """Outline points (M, 2) px, outward normals (M, 2), nearest silhouette pixels of the crop, its corner."""
     pixels = _pinhole_pixels(view.camera, hull_points)
     if len(pixels) < _MIN_OUTLINE_PX:
         return None
@@ -232,6 +235,9 @@ def _camera_outline(
         return None
     behind = None if hidden is None else view.undistort(hidden, window)
     possible = crop if behind is None else crop | behind
+    _, labels = cv2.distanceTransformWithLabels(1 - possible, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    near = nearest_of_labels(labels, possible)
+
     contours, _ = cv2.findContours(crop, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     points = [c[:, 0] for c in contours if len(c) >= _MIN_OUTLINE_PX]
     if not points:
@@ -253,7 +259,7 @@ def _camera_outline(
     clear = length > _LEAST_SLOPE
     normal = slope[clear] / length[clear, None]
     # The outline runs between the last pixel of the silhouette and the next.
-    return at[clear] + low + 0.5 * normal, normal, possible, low
+    return at[clear] + low + 0.5 * normal, normal, near, low
 
 
 def _spread(n: int, n_wanted: int) -> NDArray[np.int64]:
@@ -304,7 +310,7 @@ class OutlineProblem:
             _rays(o.origins, o.directions, o.normals),
             FleshPoints(self._flesh, self._flesh_joint),
             self._cameras,
-            o.crops,
+            Crops(o.corner, o.nearest, o.first, o.shape),
             OutlinePull(
                 scale_m=settings.scale_m,
                 normal_cost_m=settings.normal_cost_m,
@@ -365,6 +371,6 @@ def no_outline_terms() -> OutlineTerms:
         _rays(row, row, row),
         FleshPoints(row, index),
         Pinholes(np.zeros((0, 3, 3)), row, np.zeros((0, 8))),
-        Crops(pairs, np.zeros(0, dtype=np.uint8), index, pairs),
+        Crops(pairs, np.zeros(0, dtype=np.int32), index, pairs),
         OutlinePull(1.0, 1.0, 1.0, 0.0),
     )
