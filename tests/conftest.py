@@ -7,12 +7,19 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
+from mocap.pipeline.stale import forget_stale_kernels
+
 if TYPE_CHECKING:
     from flesh_voxels import Flesh
 
 # No deadline: the first example compiles kernels. Derandomised: the same examples in every run.
 settings.register_profile("mocap", deadline=None, derandomize=True, max_examples=60)
 settings.load_profile("mocap")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Kernels are tested as their sources are."""
+    forget_stale_kernels()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

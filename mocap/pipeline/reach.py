@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-_ROOT = Path(__file__).resolve().parents[1]
-_PACKAGE = _ROOT.name
+ROOT = Path(__file__).resolve().parents[1]
+_PACKAGE = ROOT.name
 _IMPORT = re.compile(
     rf"^[ \t]*(?:from[ \t]+({_PACKAGE}[\w.]*)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)|import[ \t]+({_PACKAGE}[^\n]*))",
     re.MULTILINE,
@@ -23,14 +23,14 @@ _IMPORT = re.compile(
 @cache
 def code_hash() -> str:
     """Hash of all source files of the package: whether two machines run the same program."""
-    return _hash_of(sorted(path for path in _ROOT.rglob("*") if path.suffix in (".py", ".toml")))
+    return _hash_of(sorted(path for path in ROOT.rglob("*") if path.suffix in (".py", ".toml")))
 
 
 @cache
 def code_hash_of(module: str) -> str:
     """Hash of the source files that a module can reach, and of the data files of the rooms that they are in."""
-    files = {_file_of(name) for name in reached_from(module)}
-    rooms = {_ROOT / path.relative_to(_ROOT).parts[0] for path in files if path}
+    files = {file_of(name) for name in reached_from(module)}
+    rooms = {ROOT / path.relative_to(ROOT).parts[0] for path in files if path}
     data = {path for room in rooms if room.is_dir() for path in room.rglob("*.toml")}
     return _hash_of(sorted({path for path in files if path} | data))
 
@@ -44,7 +44,7 @@ def reached_from(module: str) -> frozenset[str]:
         name = waiting.pop()
         if name not in seen:
             seen.add(name)
-            waiting += [*_imports_of(name), *_parents_of(name)]
+            waiting += [*imported_by(name), *_parents_of(name)]
     return frozenset(seen)
 
 
@@ -56,8 +56,9 @@ def _parents_of(module: str) -> Iterator[str]:
 
 
 @cache
-def _imports_of(module: str) -> tuple[str, ...]:
-    path = _file_of(module)
+def imported_by(module: str) -> tuple[str, ...]:
+    """Dotted names of the modules of the package that the source of a module imports, wherever in it."""
+    path = file_of(module)
     text = path.read_text(encoding="utf-8") if path is not None else ""
     found = []
     for base, names, plain in _IMPORT.findall(text):
@@ -67,13 +68,13 @@ def _imports_of(module: str) -> tuple[str, ...]:
         found.append(base)
         bare = re.sub(r"#[^\n]*", "", names).strip("() \t\n")
         found += [f"{base}.{name.split(' as ')[0].strip()}" for name in bare.split(",") if name.strip()]
-    return tuple(name for name in found if name != _PACKAGE and _file_of(name) is not None)
+    return tuple(name for name in found if name != _PACKAGE and file_of(name) is not None)
 
 
 @cache
-def _file_of(module: str) -> Path | None:
+def file_of(module: str) -> Path | None:
     """The file of a module; None for a name that is none."""
-    path = _ROOT.joinpath(*module.split(".")[1:])
+    path = ROOT.joinpath(*module.split(".")[1:])
     for file in (path.with_suffix(".py"), path / "__init__.py"):
         if file.is_file():
             return file
@@ -81,7 +82,7 @@ def _file_of(module: str) -> Path | None:
 
 
 def _hash_of(files: list[Path]) -> str:
-    named = "".join(f"{path.relative_to(_ROOT).as_posix()} {_file_hash(path)} " for path in files)
+    named = "".join(f"{path.relative_to(ROOT).as_posix()} {_file_hash(path)} " for path in files)
     return hashlib.sha256(named.encode()).hexdigest()[:16]
 
 

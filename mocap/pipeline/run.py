@@ -45,6 +45,7 @@ from mocap.pipeline.record import (
 from mocap.pipeline.report_data import gather_report, write_run_report
 from mocap.pipeline.resolution import at_useful_size
 from mocap.pipeline.stage import Job, Stage, StageReport, is_done
+from mocap.pipeline.stale import forget_stale_kernels
 from mocap.pipeline.walk import run_together, walks
 from mocap.portable import peak_memory_mb
 from mocap.products import hulls as hulls_product
@@ -86,6 +87,7 @@ def run_session(
     """
     if until not in UNTIL:
         raise ValueError(f"until must be one of {', '.join(UNTIL)}, got {until!r}")
+    forget_stale_kernels()
     config = config or load_config()
     if not isinstance(session, Session):
         session = open_session(session, calibration=calibration, frames=frames)

@@ -27,7 +27,7 @@ from mocap.pipeline.chains import CHAINS
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.inputs import FileHashes
 from mocap.pipeline.keys import stage_keys
-from mocap.pipeline.reach import _imports_of, code_hash_of, reached_from
+from mocap.pipeline.reach import code_hash_of, imported_by, reached_from
 from mocap.pipeline.stage import ClipWork, Job, Stage, StageReport, is_done
 from mocap.pipeline.stages.pose import POSE
 from mocap.pipeline.stages.track import TRACK
@@ -213,7 +213,7 @@ def test_imports_are_read_as_python_reads_them(path: Path) -> None:
                 file.with_suffix(".py").is_file() or (file / "__init__.py").is_file()
             ):
                 expected.add(name)
-    found = set(_imports_of(module))
+    found = set(imported_by(module))
     assert expected - found == set()
     # A docstring may read like an import; that costs a reuse, not a wrong one.
     assert found - expected <= {"mocap.pipeline.run", "mocap.io.store"}
@@ -270,10 +270,10 @@ def test_only_reached_code_and_its_data_are_in_the_hash(
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
-    monkeypatch.setattr("mocap.pipeline.reach._ROOT", root)
+    monkeypatch.setattr("mocap.pipeline.reach.ROOT", root)
 
     def digest() -> str:
-        for cached in (reached_from, code_hash_of, reach._imports_of, reach._file_of, reach._file_hash):
+        for cached in (reached_from, code_hash_of, reach.imported_by, reach.file_of, reach._file_hash):
             cached.cache_clear()
         return code_hash_of("mocap.a.one")
 

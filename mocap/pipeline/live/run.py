@@ -21,6 +21,7 @@ from mocap.pipeline.live.engine import Engine, FrameResult
 from mocap.pipeline.live.outputs import Sink
 from mocap.pipeline.live.pairing import Pairing, PairingCounts, PictureSet
 from mocap.pipeline.live.room import MIN_CAMERAS, Recording, keep_backgrounds, learn_room
+from mocap.pipeline.stale import forget_stale_kernels
 from mocap.threads import quick_turns
 
 _WINDOW = 100  # results that the rate and the latency on the screen are of
@@ -98,6 +99,7 @@ def run_live(
 
     Raises MocapError for a camera that gives no usable pictures at the beginning.
     """
+    forget_stale_kernels()
     session, rig = order.session, order.session.rig
     pairing = Pairing(rig.names, order.tolerance_s, order.stalled_s, min(MIN_CAMERAS, len(rig)))
     status = LiveStatus(pairing.counts)
