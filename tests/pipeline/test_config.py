@@ -28,10 +28,10 @@ def test_presets_say_what_they_are_for() -> None:
     assert not reference.look_again
     assert load_config("thesis_body").body.model == "thesis"
     quick = load_config("realtime")
-    assert quick.pose.search_every_frames == 3
     assert load_config().pose.search_every_frames == "auto"
     assert load_config("best").pose.search_every_frames == 1
-    settings = (f"pose.search_every_frames={quick.pose.search_every_frames}", "output.formats=report")
+    assert quick.method.follow.rarely_frames == 3 > load_config().method.follow.rarely_frames
+    settings = ("method.follow.rarely_frames=3", "output.formats=report")
     assert load_config("default", settings) == quick  # and nothing else
 
 
