@@ -24,7 +24,7 @@ DEFAULT_HEIGHT_M = 1.72
 _HEAD_SEARCH_M = 0.9
 # Areas of the slices of a hull: a crown's, larger than a forearm's, and a head's so far below it, of people who are not
 # smaller than that. Heads of grown-up people have 0.023 to 0.035 there (dances and walks before four to seven cameras),
-# hands and forearms 0.005 to 0.012.
+# hands and forearms 0.005 to 0.012 (decision 24).
 _CROWN_AREA_M2 = 0.010
 _HEAD_AREA_M2, _HEAD_DEPTH_M, _HEAD_OF_M = 0.018, 0.08, 1.75
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -38,13 +38,18 @@ def code_hash_of(module: str) -> str:
 @cache
 def reached_from(module: str) -> frozenset[str]:
     """Dotted names of the modules that are imported when a module is, or while it works; with itself."""
+    return all_from(module, lambda name: [*imported_by(name), *_parents_of(name)])
+
+
+def all_from(module: str, next_of: Callable[[str], Iterable[str]]) -> frozenset[str]:
+    """A module, those that follow from it, and from these."""
     seen: set[str] = set()
     waiting = [module]
     while waiting:
         name = waiting.pop()
         if name not in seen:
             seen.add(name)
-            waiting += [*imported_by(name), *_parents_of(name)]
+            waiting += next_of(name)
     return frozenset(seen)
 
 

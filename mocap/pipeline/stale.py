@@ -7,7 +7,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from mocap.pipeline.reach import ROOT, file_of, imported_by
+from mocap.pipeline.reach import ROOT, all_from, file_of, imported_by
 
 
 def forget_stale_kernels() -> int:
@@ -40,12 +40,4 @@ def _changed(module: str) -> float:
 @cache
 def _made_of(module: str) -> frozenset[str]:
     """A module of kernels, those that it takes kernels from, and theirs; of other modules constants, and no more."""
-    seen: set[str] = set()
-    waiting = [module]
-    while waiting:
-        name = waiting.pop()
-        if name not in seen:
-            seen.add(name)
-            if name.endswith("kernels"):
-                waiting += imported_by(name)
-    return frozenset(seen)
+    return all_from(module, lambda name: imported_by(name) if name.endswith("kernels") else ())

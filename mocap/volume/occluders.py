@@ -33,9 +33,8 @@ Voxels = NDArray[np.int32]
 Rays = tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]  # of _rays_of
 
 EMPTY, PARTLY, FULL = 0, 1, 2  # of a cell, how much is foreground
-CELL_PX = (
-    _mask_kernels.CELL_PX
-)  # picture pixels per cell of the maps: an edge is known no better than to a voxel of 5 cm
+# Picture pixels per cell of the maps: an edge is known no better than to a voxel of 5 cm.
+CELL_PX = _mask_kernels.CELL_PX
 VOXEL_M = 0.05
 MIN_CAMERAS = 4  # with three, a camera that is hidden leaves two, and two cones cross in many places
 _MOST_ENTRIES = 8_000_000  # voxels times cameras of the grid of votes: 64 MB of tables
