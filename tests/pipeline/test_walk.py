@@ -167,6 +167,96 @@ def test_a_first_half_in_another_process_finds_the_same(tmp_path: Path, n_thread
     assert shown("killed", n_threads, ("masks", "pictures"), die_at=FRAMES[5]) == {(17, True, True)}
 
 
+def cameras_apart(die_at: int | None = None) -> list[Stage]:
+    """Two stages: the first half of the first doubles what each camera shows, and says which process did. The second
+    reads depth, as nobody else does.  die_at : frame at which another process that has camera 4 is killed."""
+    here = os.getpid()
+
+    def reads(job: Job) -> Any:
+        own = job.session.rig
+        return {
+            "pictures": ((f, [np.full((2, 3, 3), 10 * f + c, dtype=np.uint8) for c in own]) for f in FRAMES)
+        }
+
+    def step(state: list[int], seen: Seen) -> tuple[list[int], Seen, Sequence[Row]]:
+        assert seen.pictures is not None
+        assert len(state) == len(seen.pictures)
+        if seen.frame == die_at and 4 in state and os.getpid() != here:
+            os.kill(os.getpid(), signal.SIGKILL)
+        masks: Any = [2 * picture[..., 0].astype(int) for picture in seen.pictures]
+        begun = [(camera, os.getpid(), seen.index) for camera in state]
+        rows = [Row("first", 100 * seen.frame + state[0], {"n": np.array([len(state)])})]
+        return state, replace(seen, masks=masks, begun=begun), rows
+
+    def then(state: list[int], seen: Seen) -> tuple[Seen, Sequence[Row]]:
+        assert seen.masks is not None
+        cameras, processes, places = zip(*seen.begun, strict=True)
+        arrays = {
+            "x": np.stack(seen.masks),
+            "cameras": np.array(cameras),
+            "n_processes": np.array([len(set(processes)), here in processes]),
+            "places": np.array(places),
+        }
+        return seen, [Row("a", seen.frame, arrays)]
+
+    def shares(job: Job, state: list[int], n: int) -> list[tuple[Job, list[int]]]:
+        own = np.array_split(np.array(state), n)
+        sessions: list[Any] = [SimpleNamespace(frames=FRAMES, rig=c.tolist()) for c in own]
+        return [(replace(job, session=s), s.rig) for s in sessions]
+
+    def behind(state: int, seen: Seen) -> tuple[int, Seen, Sequence[Row]]:
+        assert seen.depth is not None
+        assert seen.masks is not None
+        found = [seen.depth[0][0], seen.depth[0][1] == here, seen.pictures is None, len(seen.masks)]
+        return state, seen, [Row("b", seen.frame, {"found": np.array(found)})]
+
+    def depth(job: Job) -> Any:
+        return {"depth": ((f, [np.array([7 * f, os.getpid()])]) for f in FRAMES), "masks": ()}
+
+    def done(state: Any) -> Ending:
+        return Ending()
+
+    apart = FrameWork(
+        reads,
+        lambda job: list(job.session.rig),
+        step,
+        done,
+        ("masks",),
+        then,
+        apart=("masks",),
+        shares=shares,
+    )
+    later = FrameWork(depth, lambda job: 0, behind, done)
+    return [
+        Stage("a", "pose", ("a", "first"), apart, lambda job: StageReport()),
+        Stage("b", "pose", ("b",), later, lambda job: StageReport()),
+    ]
+
+
+@pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
+@pytest.mark.parametrize(("n_threads", "die_at"), [(1, None), (2, None), (3, None), (2, FRAMES[4])])
+def test_cameras_are_shared_among_processes(tmp_path: Path, n_threads: int, die_at: int | None) -> None:
+    session: Any = SimpleNamespace(frames=FRAMES, rig=range(5))
+    own = Job(session, Config(), StageStore(tmp_path / "store.zarr"), "key", n_threads=n_threads)
+    run_together([(stage, own) for stage in cameras_apart(die_at)])
+    is_alone = n_threads == 1 or die_at is not None
+    rows = dict(own.store.reader("a"))
+    assert list(rows) == list(FRAMES)
+    for i, (frame, row) in enumerate(rows.items()):
+        assert np.array_equal(row["x"][:, 0, 0], 2 * (10 * frame + np.arange(5)))
+        assert row["cameras"].tolist() == list(range(5))
+        assert row["n_processes"].tolist() == ([1, True] if is_alone else [n_threads, False])
+        assert set(row["places"].tolist()) == {i}
+    # Rows that a first half is certain of come from every process.
+    n_first = [arrays["n"][0] for _, arrays in own.store.reader("first")]
+    assert n_first == ([5] if is_alone else [len(c) for c in np.array_split(np.arange(5), n_threads)]) * len(
+        FRAMES
+    )
+    # What another stage alone reads is read here, and pictures that nobody needs stay there.
+    found = {frame: arrays["found"].tolist() for frame, arrays in own.store.reader("b")}
+    assert found == {frame: [7 * frame, True, not is_alone, 5] for frame in FRAMES}
+
+
 @pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
 def test_who_walks_forks_and_no_thread_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A process that a thread forks while a signal stops the walk is left by nobody, and waited for for ever."""
