@@ -1,4 +1,4 @@
-"""Scores of some states by a CUDA device, or by numba's simulator of one, into a file: `python device_scores.py OUT.npz`.
+"""Scores of some states by a CUDA device, or by numba's simulator of one: `python device_scores.py OUT.npz`.
 
 A process of its own, since numba learns when it is imported that it is to simulate.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +66,13 @@ def _write(out: Path) -> None:
         kernels._STAMPS_BYTES = 3 * 4 * crop.size + 1
         for what in ("overflow", "invalid value"):  # tags are meant to; what is not a number is tested
             warnings.filterwarnings("ignore", f".*{what} encountered", RuntimeWarning)
-    np.savez(out, name=str(device_name()), **scores(device_part_scores))
+    body, table, *where = problem()
+    many = replace(table, joint=np.zeros(kernels.MAX_JOINTS + 1, dtype=np.int64))
+    try:
+        device_part_scores(body, many, *where)
+    except ValueError as error:
+        refused = str(error)
+    np.savez(out, name=str(device_name()), refused=refused, **scores(device_part_scores))
 
 
 if __name__ == "__main__":

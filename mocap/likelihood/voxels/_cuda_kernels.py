@@ -77,7 +77,7 @@ def _place_body(state, chain, segments, box, R, t, A, b, centers, touches_border
 
 @cuda.jit(cache=True)
 def exact_kernel(states, chain, box, room, crop, segments, stamps, counts):
-    """`part_scores_kernel`.  room : (2, 3) float32, in the crop's voxels.  stamps : (V times blocks,) uint32 scratch."""
+    """`part_scores_kernel`.  room : (2, 3) float32, in the crop's voxels.  stamps : (V * blocks,) uint32, scratch."""
     block, first, step = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
     R = cuda.shared.array((MAX_JOINTS, 3, 3), float64)
     t = cuda.shared.array((MAX_JOINTS, 3), float64)

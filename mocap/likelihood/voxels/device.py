@@ -45,12 +45,13 @@ def device_part_scores(
     chosen, placed = chosen_parts(body, parts, given)
     if max(len(body.parent), len(table.joint)) > device.MAX_JOINTS:
         raise ValueError(f"a device takes {device.MAX_JOINTS} joints and segments, got {len(table.joint)}")
-    where = len(chosen), _kept(_chain_of, body), *_kept(_volume_of, volume)
+    box, room, crop = _kept(_volume_of, volume)
+    args = s, len(chosen), _kept(_chain_of, body), box, room, crop
     if n_points is not None:
         return shares_to_scores(
-            device.fast_scores(s, *where, _kept(fast_sample, table, chosen, placed, n_points))
+            device.fast_scores(*args, _kept(fast_sample, table, chosen, placed, n_points))
         )
-    counts = device.exact_counts(s, *where, _kept(selected, table, chosen, placed)[0])
+    counts = device.exact_counts(*args, _kept(selected, table, chosen, placed)[0])
     return counts_to_scores(counts, *selected(table, chosen, placed)[1:])
 
 
