@@ -8,6 +8,7 @@ scores every time.
 from __future__ import annotations
 
 import threading
+import warnings
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ MAX_JOINTS = (
 _THREADS = 128  # of a block: some points of every segment for each
 _STAMPS_BYTES = 2**29  # for blocks of the exact likelihood, each of which stamps a crop of its own
 _N_COUNTS, _N_SUMS = 4, 5  # whole numbers of a part, exact; of a segment, fast
+# numba warns a user of few blocks, which he cannot mend: they are his particles.
+warnings.filterwarnings("ignore", ".*Grid size .* under-utilization")
 
 
 @cuda.jit(device=True)
