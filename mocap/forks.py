@@ -35,8 +35,9 @@ _LINE_BYTES = 64  # of the cache: where arrays begin
 
 
 def can_fork() -> bool:
-    """Whether a process may be forked that goes on working: elsewhere than on Linux libraries do not allow for it."""
-    return sys.platform.startswith("linux")
+    """Whether a process may be forked that goes on working: elsewhere than on Linux libraries do not allow for it, and
+    nor does CUDA once this process has opened a device (`likelihood.voxels.device`)."""
+    return sys.platform.startswith("linux") and "numba.cuda" not in sys.modules
 
 
 def shared_zeros(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:

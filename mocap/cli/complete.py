@@ -45,6 +45,13 @@ def observations(incomplete: str) -> list[str]:
     return _beginning(OBSERVATIONS, incomplete)
 
 
+def devices(incomplete: str) -> list[str]:
+    """What may score particles."""
+    from mocap.pipeline.config import setting_words
+
+    return _beginning(setting_words("likelihood.device"), incomplete)
+
+
 def stages(incomplete: str) -> list[str]:
     """The words of --until."""
     from mocap.pipeline.chains import UNTIL

@@ -73,6 +73,14 @@ ObservationOption = Annotated[
         autocompletion=complete.observations,
     ),
 ]
+DeviceOption = Annotated[
+    str | None,
+    typer.Option(
+        "--device",
+        help="What scores particles: cpu, cuda (extra gpu) or auto (cpu).",
+        autocompletion=complete.devices,
+    ),
+]
 
 
 def parse_frames(text: str | None, option: str = "--frames") -> tuple[int | None, int | None] | None:
@@ -108,11 +116,13 @@ def read_config(
     filter_name: str | None = None,
     observation: str | None = None,
     expected_persons: int | None = None,
+    device: str | None = None,
 ) -> Config:
     """The preset with --set and the options that stand for a setting."""
-    from mocap.pipeline.config import OBSERVATIONS, load_config
+    from mocap.pipeline.config import OBSERVATIONS, load_config, setting_words
 
     check_choice("--observation", observation, OBSERVATIONS)
+    check_choice("--device", device, setting_words("likelihood.device"))
     if filter_name is not None:
         from mocap.filters import FILTERS
 
@@ -120,6 +130,7 @@ def read_config(
     extra = [f"pose.filter={filter_name}"] if filter_name else []
     extra += [f"observation={observation}"] if observation else []
     extra += [f"tracking.expected_persons={expected_persons}"] if expected_persons else []
+    extra += [f"likelihood.device={device}"] if device else []
     return load_config(preset, (*(settings or []), *extra))
 
 

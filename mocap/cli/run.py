@@ -17,6 +17,7 @@ from mocap.cli import complete
 from mocap.cli.interrupt import how_to_go_on
 from mocap.cli.options import (
     CalibrationOption,
+    DeviceOption,
     ExpectedOption,
     FilterOption,
     FramesOption,
@@ -65,6 +66,7 @@ class Order:
     filter_name: str | None = None
     observation: str | None = None
     expected_persons: int | None = None
+    device: str | None = None
     profile: bool = False
 
 
@@ -133,6 +135,7 @@ def run(
     rehash: RehashOption = False,
     calibration: CalibrationOption = None,
     threads: ThreadsOption = None,
+    device: DeviceOption = None,
     profile: Annotated[bool, typer.Option("--profile", help="Print where the time goes, by part.")] = False,
     _list: Annotated[
         bool,
@@ -162,6 +165,7 @@ def run(
             filter_name=filter_name,
             observation=observation,
             expected_persons=expected_persons,
+            device=device,
             profile=profile,
         )
     )
@@ -249,6 +253,7 @@ def _run(order: Order) -> RunResult:
         filter_name=order.filter_name,
         observation=order.observation,
         expected_persons=order.expected_persons,
+        device=order.device,
     )
     done = FinishedStages()
     listening = profiled() if order.profile else nullcontext()

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 from mocap.body import Body, build_look_up_table, load_body_model, scale_body
 from mocap.body.initial import DEFAULT_HEIGHT_M
 from mocap.body.markers import load_marker_set, place_markers
-from mocap.errors import MocapError
+from mocap.errors import MissingExtra, MocapError
+from mocap.forks import begun
 from mocap.io.session import Session
 from mocap.io.truth import read_true_voxels
+from mocap.likelihood.voxels.device import device_name
 from mocap.pipeline.config import Config
 from mocap.pipeline.outside import check_outside
 from mocap.pipeline.pose_settings import check_filter, stated_height_m
@@ -51,6 +54,22 @@ def _check_particles(config: Config, body: Body) -> None:
             f"has {_memory_bytes() / _BYTES_PER_GB:.3g} GB",
             remedy="lower pose.n_particles or pose.level_particles; some hundred are usual",
         )
+
+
+def check_device(config: Config) -> None:
+    """What is to score particles is there. Raises MocapError."""
+    if config.likelihood.device != "cuda":
+        return
+    # Asked elsewhere: a process that has opened a device forks no more.
+    with begun(device_name, 2) as name:
+        if name() is not None:
+            return
+    without = "let the processor score: --device cpu"
+    if find_spec("numba_cuda") is None:
+        raise MissingExtra("--device cuda needs the package numba-cuda", "gpu", otherwise=without)
+    raise MocapError(
+        "--device cuda: no CUDA device answers", remedy=f"see whether `nvidia-smi` lists one, or {without}"
+    )
 
 
 def check_volume(session: Session, config: Config) -> None:

@@ -133,6 +133,9 @@ class LikelihoodConfig(_Section):
     proposes poses; where they are refined, what is kept is judged with all points."""
     n_points: int = Field(default=200, ge=20, le=5000)
     """Points per part of the fast kind."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """What scores the filter's particles: `cpu`, or `cuda` = a graphics card (extra `gpu`), whose scores differ by
+    points at borders of voxels; `auto` = cpu, so that results do not depend on what a machine has."""
     factorised: bool = True
     """Per-part likelihoods (CF 6.23); false = one global likelihood (CF 6.21)."""
     variance_out: float = Field(default=0.01, gt=0)

@@ -17,7 +17,9 @@ import numpy as np
 
 from mocap.data import Camera, VoxelGrid
 from mocap.errors import DISTRIBUTION, MocapError, install_command
+from mocap.forks import begun
 from mocap.io.store import StageStore
+from mocap.likelihood.voxels.device import device_name
 from mocap.pipeline.record import versions
 from mocap.pipeline.warm_up import small_rig
 from mocap.portable import kernel_cache_dir, total_memory_bytes
@@ -34,6 +36,7 @@ _EXTRAS = {
     "sound": ("av", "`mocap sync --by sound`"),
     "view": ("rerun", "scene.rrd, `mocap view` and `mocap live --view`"),
     "lsl": ("pylsl", "`mocap live --lsl`"),
+    "gpu": ("numba_cuda", "`mocap run --device cuda`"),
     "open3d": ("open3d", "`mocap depth --what room` and `mocap calibrate --register`"),
     "cluster": ("distributed", "`mocap sweep` and `mocap batch` with several workers"),
 }
@@ -59,6 +62,7 @@ def examine() -> Iterator[Finding]:
     yield from _versions()
     yield _threads()
     yield from _extras()
+    yield _device()
     yield from _folders()
     yield _kernels()
     yield from _codecs()
@@ -118,6 +122,14 @@ def _extras() -> Iterator[Finding]:
             yield Finding(f"extra {extra}", "missing", f"{use} need it. Remedy: {install_command(extra)}")
         else:
             yield Finding(f"extra {extra}", "ok", use)
+
+
+def _device() -> Finding:
+    with begun(device_name, 2) as name:
+        found = name()
+    if found is None:
+        return Finding("CUDA device", "missing", "none answers: the processor scores all particles")
+    return Finding("CUDA device", "ok", f"{found}, for `mocap run --device cuda`")
 
 
 def _folders() -> Iterator[Finding]:

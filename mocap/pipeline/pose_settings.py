@@ -122,6 +122,7 @@ def likelihood_settings(config: LikelihoodConfig) -> VoxelLikelihoodSettings:
         factorised=config.factorised,
         kind=config.kind,
         n_points=config.n_points,
+        device="cuda" if config.device == "cuda" else "cpu",
     )
 
 

@@ -21,7 +21,14 @@ from mocap.io._files import atomic_text
 from mocap.io.session import Session, open_session
 from mocap.io.store import StageStore
 from mocap.pipeline.chains import UNTIL, WITH_VOLUMES, observation_kind, stages_until
-from mocap.pipeline.checks import check_config, check_flesh, check_out, check_truth, check_volume
+from mocap.pipeline.checks import (
+    check_config,
+    check_device,
+    check_flesh,
+    check_out,
+    check_truth,
+    check_volume,
+)
 from mocap.pipeline.config import Config, OutputConfig, load_config
 from mocap.pipeline.edits.beside import hand_words, tracks_after, with_edits
 from mocap.pipeline.edits.model import Edits
@@ -102,6 +109,8 @@ def run_session(
     if until in _WITH_POSES:
         check_flesh(session, config, kind)
         check_truth(session)
+        if kind in WITH_VOLUMES:
+            check_device(config)
     job = Job(
         session=session,
         config=config,

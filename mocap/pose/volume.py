@@ -205,7 +205,7 @@ class VolumeTools(PersonTools):
     def frame(self, hull: PersonHull | PreparedHull, appearance: Appearance | None = None) -> VolumeEvidence:
         """What poses are judged by in the frame of a hull.  appearance : what is known of the person's colours."""
         known = hull if isinstance(hull, PreparedHull) else self.prepared(hull)
-        exact = replace(self.likelihood, kind="exact")
+        exact = replace(self.likelihood, kind="exact", device="cpu")
         return VolumeEvidence(
             tools=self,
             hull=known,
@@ -244,7 +244,8 @@ class VolumeEvidence:
 
     @cached_property
     def search(self) -> VoxelProblem:
-        """The likelihood that proposes poses, of the kind that is configured; `voxels` judges them, always exact."""
+        """The likelihood that proposes poses, of the kind and on the device that are configured; `voxels` judges them,
+        always exact and on the CPU."""
         return replace(self.voxels, settings=self.tools.likelihood)
 
     @property

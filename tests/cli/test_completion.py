@@ -55,6 +55,7 @@ def test_every_word_that_is_completed_is_taken() -> None:
     assert "default" in complete.presets("")
     assert complete.presets("ref") == ["reference", "reference_markers", "reference_shbm"]
     assert complete.observations("v") == ["voxels"]
+    assert complete.devices("c") == ["cpu", "cuda"]
     assert complete.stages("t") == ["track"]
     assert "demo" in complete.scenes("d")
     assert complete.landmarks("left_w") == ["left_wrist"]

@@ -96,6 +96,10 @@ def test_a_mistyped_stage_is_guessed(tmp_path: Path) -> None:
             ("run", "x", "-o", "y", "--observation", "voxel"),
             "--observation is 'voxel'; did you mean 'voxels'? Remedy: give one of auto, voxels",
         ),
+        (
+            ("run", "x", "-o", "y", "--device", "cdua"),
+            "--device is 'cdua'; did you mean 'cuda'? Remedy: give one of auto, cpu, cuda",
+        ),
         (("run", "x", "-o", "y", "--set", "pose.n_layers=0"), "Remedy: see docs/configuration.md"),
     ],
 )

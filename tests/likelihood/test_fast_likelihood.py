@@ -18,7 +18,7 @@ from mocap.likelihood.voxels import (
 )
 from mocap.likelihood.voxels._fast_kernels import fast_scores_kernel, picked_on_path
 from mocap.likelihood.voxels.exact import SURFACE_MAX
-from mocap.likelihood.voxels.fast import _FILLED, _fast_sample, segment_map, spread_sample
+from mocap.likelihood.voxels.fast import _FILLED, fast_sample, segment_map, spread_sample
 from mocap.pose.volume import pack_volume
 
 FIELDS = ("out", "double", "occupied", "surface")
@@ -109,7 +109,7 @@ def test_python_twin_of_the_kernel() -> None:
     volume = pack_volume(flesh.grid, flesh.hull(neutral_state(flesh.body)), 1.0)
     states = scatter(flesh, 3, 0.1, 0.5)
     states[2, :3] = flesh.grid.upper - 0.02
-    sample = _fast_sample(flesh.table, (4, 0, 3), (2, 9), 30, 10)
+    sample = fast_sample(flesh.table, (4, 0, 3), (2, 9), 30)
     scores = np.zeros((3, 3, 4))
     fast_scores_kernel.py_func(states, flesh.body.chain, sample, volume.box, volume.crop.reshape(-1), scores)
     args = flesh.body, flesh.table, volume, states

@@ -22,7 +22,7 @@ from mocap.likelihood.voxels import (
 )
 from mocap.likelihood.voxels import _exact_kernels as _kernels
 from mocap.likelihood.voxels._exact_kernels import part_scores_kernel
-from mocap.likelihood.voxels.exact import SURFACE_MAX, _select, held_body
+from mocap.likelihood.voxels.exact import SURFACE_MAX, held_body, selected
 from mocap.pose.volume import PersonHull, pack_volume
 
 FIELDS = ("out", "double", "occupied", "surface")
@@ -141,7 +141,7 @@ def test_python_twin_of_the_kernel(monkeypatch: pytest.MonkeyPatch, n_tags: int)
     volume = volume_of(flesh, flesh.hull(neutral_state(flesh.body)))
     states = scatter(flesh, 5, 0.05, 0.3)
     counts = np.zeros((5, flesh.body.layout.n_parts, 4), dtype=np.int64)
-    segments = _select(flesh.table, tuple(range(flesh.body.layout.n_parts)), ())[0]
+    segments = selected(flesh.table, tuple(range(flesh.body.layout.n_parts)), ())[0]
     crop = volume.crop.reshape(-1)
     cells = np.full(crop.size, 2**31 + 12345, dtype=np.uint32)
     monkeypatch.setattr(_kernels, "_N_TAGS", n_tags)

@@ -246,3 +246,37 @@ def test_the_command_line_says_it_in_one_line(session: Path, tmp_path: Path) -> 
     assert said.code == 2
     assert said.err.startswith("mocap: error: ")
     assert "Traceback" not in said.err
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        (
+            None,
+            '--device cuda needs the package numba-cuda. Remedy: pip install "mocap-volumes[gpu]", or let the',
+        ),
+        (
+            "numba_cuda",
+            "--device cuda: no CUDA device answers. Remedy: see whether `nvidia-smi` lists one, or let the",
+        ),
+    ],
+)
+def test_a_device_that_does_not_answer_is_said(
+    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, extra: str | None, words: str
+) -> None:
+    monkeypatch.setattr(checks, "device_name", lambda: None)
+    monkeypatch.setattr(checks, "find_spec", lambda name: extra)
+    said = str(refused(session, tmp_path / "out", config("likelihood.device=cuda")))
+    assert words in said
+    assert said.endswith("processor score: --device cpu.")
+
+
+def test_no_device_is_asked_for_where_none_scores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "begun", None)  # what asks
+    checks.check_device(config())
+    checks.check_device(config("likelihood.device=cpu"))
+
+
+def test_a_device_that_answers_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "device_name", lambda: "a device")
+    checks.check_device(config("likelihood.device=cuda"))

@@ -47,6 +47,8 @@ class VoxelLikelihoodSettings:
     """All points of the body, or a sample of them (`fast.fast_part_scores`)."""
     n_points: int = 200
     """Points per part of the fast kind."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """What scores many states at once (`device.device_part_scores`)."""
 
     @property
     def variances(self) -> Array:
@@ -105,7 +107,7 @@ class PartScores:
 
 
 @lru_cache(maxsize=64)
-def _select(
+def selected(
     table: LookUpTable, parts: tuple[int, ...], given: tuple[int, ...]
 ) -> tuple[Segments, Array, Array]:
     """Segments of `parts` (scored) and then of `given` (placed only), and the parts' numbers of points, two (P',).
@@ -186,7 +188,8 @@ def run_chunks(score: Callable[[int, int], None], n: int, n_threads: int) -> Non
     in_parallel(lambda chunk: score(*chunk), list(itertools.pairwise(edges)), n_chunks)
 
 
-def _counts_to_scores(counts: NDArray[np.int64], size: Array, size_surface: Array) -> PartScores:
+def counts_to_scores(counts: NDArray[np.int64], size: Array, size_surface: Array) -> PartScores:
+    """The scores that counts (N, P', 4) of a kernel mean.  size, size_surface : (P',), as of `selected`."""
     return PartScores(
         out=counts[..., 0] / size,
         double=counts[..., 1] / size,
@@ -216,7 +219,7 @@ def part_scores(
     """
     s = check_states(body, states)
     chosen, placed = chosen_parts(body, parts, given)
-    segments, size, size_surface = _select(table, chosen, placed)
+    segments, size, size_surface = selected(table, chosen, placed)
     counts = np.zeros((len(s), len(chosen), 4), dtype=np.int64)
     crop = volume.crop.reshape(-1)
 
@@ -226,7 +229,7 @@ def part_scores(
         )
 
     run_chunks(score, len(s), n_threads)
-    return _counts_to_scores(counts, size, size_surface)
+    return counts_to_scores(counts, size, size_surface)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,11 +249,11 @@ class HeldBody:
     def scores(self, states: Array) -> PartScores:
         """Scores of states (N, D) that differ from the held one in the limb's columns only, (N, limb's parts) each."""
         s = check_states(self.body, states)
-        segments, size, size_surface = _select(self.table, self.limb, ())
+        segments, size, size_surface = selected(self.table, self.limb, ())
         counts = np.zeros((len(s), len(self.limb), 4), dtype=np.int64)
         crop = self.volume.crop.reshape(-1)
         limb_scores_kernel(s, self.body.chain, segments, self.volume.box, crop, self._taken, counts)
-        return _counts_to_scores(counts, size, size_surface)
+        return counts_to_scores(counts, size, size_surface)
 
 
 def held_body(
@@ -265,7 +268,7 @@ def held_body(
     if not 0 < len(parts) <= MAX_LIMB_PARTS:
         raise ValueError(f"a limb has 1 to {MAX_LIMB_PARTS} parts, got {len(parts)}")
     taken = np.zeros(volume.crop.size, dtype=np.uint8)
-    segments, _, _ = _select(table, rest, ())
+    segments, _, _ = selected(table, rest, ())
     take_voxels(check_states(body, state[None])[0], body.chain, segments, volume.box, taken)
     return HeldBody(body, table, volume, parts, taken)
 
@@ -323,7 +326,7 @@ def part_scores_numpy(
         counts[n, :, 1] = np.bincount(part, weights=double, minlength=P)
         counts[n, :, 2] = np.bincount(part, weights=value >> 7, minlength=P)
         counts[n, :, 3] = np.bincount(part, weights=np.where(is_surface, value & SURFACE_MAX, 0), minlength=P)
-    return _counts_to_scores(counts[:, list(chosen)], *_select(table, chosen, placed)[1:])
+    return counts_to_scores(counts[:, list(chosen)], *selected(table, chosen, placed)[1:])
 
 
 def factorised_log_likelihood(

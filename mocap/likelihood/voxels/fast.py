@@ -57,9 +57,7 @@ def fast_part_scores(
     """
     s = check_states(body, states)
     chosen, placed = chosen_parts(body, parts, given)
-    if n_points < 1:
-        raise ValueError(f"n_points must be positive, got {n_points}")
-    sample = _fast_sample(table, chosen, placed, n_points, max(n_points // _POINTS_PER_OVERLAP_POINT, 1))
+    sample = fast_sample(table, chosen, placed, n_points)
     scores = np.zeros((len(s), len(chosen), 4))
     crop, box = volume.crop.reshape(-1), volume.box
 
@@ -67,6 +65,11 @@ def fast_part_scores(
         fast_scores_kernel(s[first:last], body.chain, sample, box, crop, scores[first:last])
 
     run_chunks(score, len(s), n_threads)
+    return shares_to_scores(scores)
+
+
+def shares_to_scores(scores: Array) -> PartScores:
+    """The scores that the numbers (N, P', 4) of a kernel mean."""
     return PartScores(
         out=scores[..., 0],
         double=scores[..., 1],
@@ -110,10 +113,13 @@ def segment_map(points: Array, spacing_m: float) -> tuple[NDArray[np.uint8], Arr
 
 
 @lru_cache(maxsize=64)
-def _fast_sample(
-    table: LookUpTable, parts: tuple[int, ...], given: tuple[int, ...], n_points: int, n_overlap_points: int
+def fast_sample(
+    table: LookUpTable, parts: tuple[int, ...], given: tuple[int, ...], n_points: int
 ) -> FastSample:
     """Sample and maps for parts that are scored and parts that are only placed."""
+    if n_points < 1:
+        raise ValueError(f"n_points must be positive, got {n_points}")
+    n_overlap_points = max(n_points // _POINTS_PER_OVERLAP_POINT, 1)
     placed = [*parts, *given]
     column_of = {p: i for i, p in enumerate(placed)}
     order = [int(s) for p in placed for s in np.flatnonzero(table.part == p)]

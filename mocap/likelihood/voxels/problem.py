@@ -14,6 +14,7 @@ from mocap.body.model import Body
 from mocap.data.problem import StateLayout
 from mocap.data.propagation import truncated_gaussian_step
 from mocap.likelihood.voxels._exact_kernels import MAX_LIMB_PARTS, axes_in_volume
+from mocap.likelihood.voxels.device import device_part_scores
 from mocap.likelihood.voxels.exact import (
     PackedVolume,
     PartScores,
@@ -48,14 +49,23 @@ class VoxelProblem:
     ) -> Array:
         """Log-likelihoods of particles (N, D): one column per part asked for (all for None), or one for a global
         likelihood, pooled over these parts.  given : parts that take up room but are not scored."""
+        n_points = self.settings.n_points if self.settings.kind == "fast" else None
+        return self.judged(self._scores(particles, parts, given, n_points), parts)
+
+    def _scores(
+        self,
+        particles: Array,
+        parts: Sequence[int] | None,
+        given: Sequence[int] = (),
+        n_points: int | None = None,
+    ) -> PartScores:
+        """Scores of particles (N, D) by whom they are to be made.  n_points : of the fast kind, None = exact."""
         args = self.body, self.table, self.volume, particles
-        if self.settings.kind == "fast":
-            scores = fast_part_scores(
-                *args, parts=parts, given=given, n_points=self.settings.n_points, n_threads=self.n_threads
-            )
-        else:
-            scores = part_scores(*args, parts=parts, given=given, n_threads=self.n_threads)
-        return self.judged(scores, parts)
+        if self.settings.device == "cuda":
+            return device_part_scores(*args, n_points=n_points, parts=parts, given=given)
+        if n_points is None:
+            return part_scores(*args, parts=parts, given=given, n_threads=self.n_threads)
+        return fast_part_scores(*args, n_points=n_points, parts=parts, given=given, n_threads=self.n_threads)
 
     def judged(self, scores: PartScores, parts: Sequence[int] | None = None) -> Array:
         """The log-likelihoods of particles with these scores.  parts : those of the scores' columns, None = all."""
@@ -91,7 +101,5 @@ class VoxelProblem:
         it nearly always is.
         Source: CF Eq. 6.15.
         """
-        scores = part_scores(
-            self.body, self.table, self.volume, particles, parts=parts, n_threads=self.n_threads
-        )
+        scores = self._scores(particles, parts)
         return np.maximum(scores.occupied - scores.double, 0.0) if own else scores.occupied

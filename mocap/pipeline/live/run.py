@@ -15,6 +15,7 @@ import numpy as np
 from mocap.data import Occluders
 from mocap.io.session import Session
 from mocap.io.store import StageStore
+from mocap.pipeline.checks import check_device
 from mocap.pipeline.config import Config
 from mocap.pipeline.live.capture import CameraThread, Pace, Shot
 from mocap.pipeline.live.engine import Engine, FrameResult
@@ -97,9 +98,10 @@ def run_live(
 ) -> LiveStatus:
     """Follow who is before the cameras; `show` is told every second how it goes.
 
-    Raises MocapError for a camera that gives no usable pictures at the beginning.
+    Raises MocapError for a device that does not answer, and a camera that gives no usable pictures at the beginning.
     """
     forget_stale_kernels()
+    check_device(order.config)
     session, rig = order.session, order.session.rig
     pairing = Pairing(rig.names, order.tolerance_s, order.stalled_s, min(MIN_CAMERAS, len(rig)))
     status = LiveStatus(pairing.counts)
