@@ -1,6 +1,6 @@
 """Make the pictures of docs/volumes.md from synthetic sessions.
 
-for s in demo fault_moved fault_lag furnished; do mocap synth --scene $s -o out/camera_faults/$s; done
+for s in demo fault_moved fault_lag furnished furnished_sit; do mocap synth --scene $s -o out/camera_faults/$s; done
 python -m docs.make_volume_pictures
 """
 
@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eval.camera_faults import watch
-from mocap.data import VoxelGrid
+from mocap.data import CameraRig, VoxelGrid
+from mocap.foreground import EMPTY_REDUCTION, empty_picture, learn_background
 from mocap.io.session import open_session
 from mocap.io.tables import read_landmarks_csv
-from mocap.io.video import FrameReader
+from mocap.io.video import FrameReader, iter_clip
 from mocap.volume import (
     Carver,
     SilhouetteEvidence,
@@ -28,13 +29,16 @@ from mocap.volume import (
     colour_hull,
     learn_occluders,
     surface_voxels,
+    things_on_floor,
 )
 from mocap.volume.consistency import MAX_LAG_FRAMES
+from mocap.volume.occluders import VOXEL_M, painted
 
 PICTURES = Path(__file__).with_name("pictures")
 MAX_BYTES = 150_000
 FRAME = 38
 HIDDEN_FRAME, HIDING_CAMERAS = 88, (0, 2)  # of `furnished`
+THINGS_CAMERAS = (0, 2, 4)  # of `furnished_sit`
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#999999")
 
 
@@ -208,6 +212,31 @@ def furniture(root: Path) -> bytes:
     return _png(figure)
 
 
+def things(root: Path) -> NDArray[np.uint8]:
+    """The empty room as some cameras see it, and what is found to stand in it."""
+    from mocap.view import contact_sheet
+
+    session = open_session(root)
+    rig = session.rig
+    empty = [
+        empty_picture(learn_background(iter_clip(session.background_sources[camera.name]))) for camera in rig
+    ]
+    small = CameraRig(tuple(camera.reduced(EMPTY_REDUCTION) for camera in rig))
+    points = things_on_floor(small, choose_grid(rig, 0.02, bounds_m=session.room_bounds_m), empty)
+    found = painted(rig, points, VOXEL_M)
+    tiles, labels = [], []
+    for c in THINGS_CAMERAS:
+        picture = empty[c][..., :3].copy()
+        is_thing = np.isfinite(found.depth_m[rig[c].name]).astype(np.uint8)
+        is_thing = cv2.resize(is_thing, picture.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+        tinted = picture.copy()
+        tinted[is_thing] = 0.5 * picture[is_thing] + [115, 40, 85]
+        tiles += [picture, tinted]
+        labels += [f"{rig[c].name}: the empty room", "what stands in it"]
+    order = [*range(0, len(tiles), 2), *range(1, len(tiles), 2)]
+    return contact_sheet([tiles[i] for i in order], [labels[i] for i in order], n_columns=3, width=800)
+
+
 def _png(figure: Any) -> bytes:
     import matplotlib.pyplot as plt
 
@@ -239,6 +268,10 @@ def main() -> int:
     ]
     _write("volumes_consistency.png", consistency(*evidence))
     _write("volumes_furniture.png", furniture(work / "furnished"))
+    sheet = cv2.imencode(".png", things(work / "furnished_sit")[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[
+        1
+    ]
+    _write("volumes_things.png", sheet.tobytes())
     growth = Path(__file__).resolve().parents[1] / "eval" / "results" / "volume_growth.png"
     _write("volume_growth.png", growth.read_bytes())
     return 0

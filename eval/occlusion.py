@@ -39,6 +39,7 @@ DEVELOPMENT = (
     "furnished", "furnished_low", "furnished_pair",
     "furnished_four", "furnished_close", "furnished_place", "furnished_hidden",
     "furnished_few", "furnished_few_other",
+    "furnished_sit", "furnished_throw", "furnished_pick_up",
 )  # fmt: skip
 TEST = ("furnished_test", "furnished_pair_test", "furnished_few_test")
 LEGS = ("left_knee", "right_knee", "left_ankle", "right_ankle")

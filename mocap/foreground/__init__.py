@@ -1,7 +1,13 @@
 """Background model, segmentation with shadow test, mask clean-up, refinement, quality of masks."""
 
 from mocap.foreground.fit import Fit, fit_background, unfitted
-from mocap.foreground.model import Background, learn_background, median_background
+from mocap.foreground.model import (
+    EMPTY_REDUCTION,
+    Background,
+    empty_picture,
+    learn_background,
+    median_background,
+)
 from mocap.foreground.quality import MaskQuality, mask_quality, triples_of
 from mocap.foreground.recording import (
     KeyPictures,
@@ -17,6 +23,7 @@ from mocap.foreground.refine import refine_mask
 from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segmenter, clean_mask
 
 __all__ = [
+    "EMPTY_REDUCTION",
     "Background",
     "Fit",
     "ForegroundMask",
@@ -26,6 +33,7 @@ __all__ = [
     "Segmenter",
     "background_of_recording",
     "clean_mask",
+    "empty_picture",
     "first_cuts",
     "fit_background",
     "key_pictures",

@@ -62,6 +62,7 @@ class Seen:
 
     index : place in the clip.  pictures : (H, W, 3) uint8 RGB of every camera, empty of one that gives none now.
     masks : (H, W) bool of every camera.  depth : (H, W) float32 m of every camera with depth maps, 0 = no reading.
+    empty : (h, w, 4) uint8 of every camera in the first frame, as of `foreground.empty_picture`; none in others.
     known : (P, K, 3) m keypoints of the persons on whom cameras agree, NaN = not known.
     tracks : those of the tracker in this frame, as they are called until now.  owner : (N,) serial + 1 of the track
     that holds each voxel of the hull, 0 = nobody.  begun : what the first half of a step leaves to the second.
@@ -72,6 +73,7 @@ class Seen:
     pictures: Sequence[NDArray[np.uint8]] | None = None
     masks: Sequence[NDArray[np.bool_]] | None = None
     depth: Sequence[NDArray[np.float32]] | None = None
+    empty: Sequence[NDArray[np.uint8]] = ()
     known: NDArray[np.float64] = field(default_factory=lambda: NOBODY)
     hull: Hull | None = None
     tracks: Sequence[Any] | None = None

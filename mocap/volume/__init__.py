@@ -14,6 +14,7 @@ from mocap.volume.colour import colour_hull, visible_views
 from mocap.volume.components import connected_components
 from mocap.volume.consistency import ConsistencyMonitor, SilhouetteEvidence
 from mocap.volume.floor import Floor
+from mocap.volume.furniture import things_on_floor
 from mocap.volume.grid import choose_grid, look_at_point
 from mocap.volume.mesh import hull_mesh
 from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_cells, no_occluders
@@ -52,6 +53,7 @@ __all__ = [
     "silhouette_residuals",
     "surface_map",
     "surface_voxels",
+    "things_on_floor",
     "usable_cameras",
     "visible_views",
     "votes_bruteforce",

@@ -24,7 +24,7 @@ _PLACE_M = 0.02  # a pixel of 640 x 480 sees a centimetre of the floor
 _LEAST_CAMERAS = 3  # that see a place of the floor empty: one of two is not outvoted
 _USUAL_LEVELS = 15.0  # from which on a picture differs, where cameras agree
 _DISAGREEMENTS = 4.0  # median differences between the cameras that a picture must differ by
-_SOLE_PLACES = 15  # 0.3 m: what is farther from all that is known is not painted in
+_SOLE_M = 0.3  # what is farther from all that is known is not painted in
 _MOST_LEVELS = 60.0  # a place about which cameras agree no better is not known: it shines
 
 
@@ -32,7 +32,7 @@ class Floor:
     """The colours of the floor under a grid, from pictures of all cameras.
 
     pictures : (K, H, W, 3) uint8 per camera, of K instants.  free : (H, W) bool for each camera and instant, where the
-    picture may show the empty room.
+    picture may show the empty room.  place_m : side of what has one colour.
     Every place has the median colour of the cameras that ever saw it free, each in its own light.
     """
 
@@ -42,8 +42,10 @@ class Floor:
         grid: VoxelGrid,
         pictures: Sequence[NDArray[np.uint8]],
         free: Sequence[Sequence[Mask]],
+        *,
+        place_m: float = _PLACE_M,
     ) -> None:
-        places, shape = _places_of(grid)
+        places, shape = _places_of(grid, place_m)
         shown = np.stack(
             [
                 _shown(own, masks, pixels_of_points(camera, places))
@@ -56,8 +58,8 @@ class Floor:
         self._gains = np.ones((len(rig), 3), dtype=np.float32)
         if known.any():
             self._agree(known, shown[:, known])
-            self._paint_in(shape)
-        self._places = [_places_in(camera, grid, shape) for camera in rig]
+            self._paint_in(shape, round(_SOLE_M / place_m))
+        self._places = [_places_in(camera, grid, shape, place_m) for camera in rig]
 
     def _agree(self, known: NDArray[np.bool_], shown: Colours) -> None:
         """Light of the cameras, colours and limits of the known places (P,) from what is shown of them (C, N, 3)."""
@@ -73,10 +75,10 @@ class Floor:
         self._colour[known] = colour
         self._limit[known] = np.where(limit <= _MOST_LEVELS, limit, -1.0)
 
-    def _paint_in(self, shape: tuple[int, int]) -> None:
-        """Colours of what lies under soles, from around."""
+    def _paint_in(self, shape: tuple[int, int], reach: int) -> None:
+        """Colours of what lies under soles, from so many places around."""
         known = (self._limit >= 0).reshape(shape)
-        near = cv2.dilate(known.astype(np.uint8), np.ones((2 * _SOLE_PLACES + 1,) * 2, np.uint8)) > 0
+        near = cv2.dilate(known.astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
         picture = np.clip(np.round(self._colour), 0, 255).astype(np.uint8).reshape(*shape, 3)
         painted = cv2.inpaint(picture, (near & ~known).astype(np.uint8), 3, cv2.INPAINT_TELEA)
         fill = (near & ~known).ravel()
@@ -110,12 +112,12 @@ def floor_behind(
     return pixels[inside], points[inside]
 
 
-def _places_of(grid: VoxelGrid) -> tuple[Array, tuple[int, int]]:
+def _places_of(grid: VoxelGrid, place_m: float) -> tuple[Array, tuple[int, int]]:
     """Places (N, 3) m of the floor under a grid, and how many there are along x and y."""
     extent = (grid.upper - grid.origin)[:2]
-    n_x, n_y = (int(np.ceil(length / _PLACE_M - 1e-6)) for length in extent)
+    n_x, n_y = (int(np.ceil(length / place_m - 1e-6)) for length in extent)
     x, y = np.meshgrid(np.arange(n_x) + 0.5, np.arange(n_y) + 0.5, indexing="ij")
-    xy = grid.origin[:2] + _PLACE_M * np.column_stack([x.ravel(), y.ravel()])
+    xy = grid.origin[:2] + place_m * np.column_stack([x.ravel(), y.ravel()])
     return np.column_stack([xy, np.zeros(len(xy))]), (n_x, n_y)
 
 
@@ -131,11 +133,11 @@ def _shown(pictures: NDArray[np.uint8], free: Sequence[Mask], pixels: NDArray[np
     return out
 
 
-def _places_in(camera: Camera, grid: VoxelGrid, shape: tuple[int, int]) -> NDArray[np.int32]:
+def _places_in(camera: Camera, grid: VoxelGrid, shape: tuple[int, int], place_m: float) -> NDArray[np.int32]:
     """The place of the floor that each pixel shows, (H, W); -1 where it shows none."""
     width, height = camera.size
     pixels, points = floor_behind(camera, grid, np.arange(width * height))
-    at = np.minimum(((points - grid.origin)[:, :2] / _PLACE_M).astype(np.int64), np.array(shape) - 1)
+    at = np.minimum(((points - grid.origin)[:, :2] / place_m).astype(np.int64), np.array(shape) - 1)
     out = np.full(width * height, -1, dtype=np.int32)
     out[pixels] = at[:, 0] * shape[1] + at[:, 1]
     return out.reshape(height, width)

@@ -75,7 +75,8 @@ _ODD_SHARE, _OFTEN, _FEW_FRAMES = 0.025, 0.1, 4
 class OccluderLearner:
     """Collects votes frame by frame: `add` frames in any order and number, `occluders` whenever they are wanted.
 
-    grid : where persons may be.
+    grid : where persons may be.  things : centres (N, 3) m of cubes of VOXEL_M in which something is known to stand; it
+    may be set at any time.
     Memory is constant: votes and tables of one grid. Not thread-safe.
     Raises ValueError for fewer than MIN_CAMERAS cameras.
     """
@@ -85,6 +86,7 @@ class OccluderLearner:
             raise ValueError(f"occluders can be told from at least {MIN_CAMERAS} cameras, got {len(rig)}")
         self._rig = CameraRig(tuple(camera.reduced(CELL_PX) for camera in rig))
         side = max(VOXEL_M, grid.voxel_size_m)
+        self.things = np.zeros((0, 3))
         self._n_faulty = max(1, len(rig) // 2)
         self._n_usual = 1 if len(rig) >= _MANY else 0
         self._carver = Carver(self._rig, VoxelGrid.from_bounds(grid.origin, grid.upper, side))
@@ -146,17 +148,19 @@ class OccluderLearner:
         """The maps of all cameras from the votes so far: for each cell the nearest solid voxel that hides somebody.
 
         What hid somebody from this camera itself counts when it stands behind whoever the cell has shown. What hid
-        somebody from two others counts until the cell has shown somebody behind it.
+        somebody from two others, or is known to stand, counts until the cell has shown somebody behind it.
         """
         has_moved = self._n_odd > max(_OFTEN * self._n_telling, _FEW_FRAMES)
         n_blocked = np.where(has_moved[:, None], np.uint16(0), self.n_blocked)
         solid = solid_voxels(self._space, self.n_free, n_blocked)
         squares = _squares(self._rig, self._space.centers(solid), self._space.voxel_size_m)
+        things = _squares(self._rig, self.things, VOXEL_M)
         has_blocked = n_blocked[:, solid] > 0
         is_crossed = np.count_nonzero(has_blocked, axis=0) >= _CROSSING
         maps = {}
         for c, (camera, seen) in enumerate(zip(self._rig, self._seen_m, strict=True)):
             told, own = squares.nearest(c, is_crossed), squares.nearest(c, has_blocked[c], beyond=seen[1])
+            told = np.minimum(told, things.nearest(c, np.ones(len(self.things), dtype=np.bool_)))
             told[told < seen[1]] = np.inf
             # Voxels near a camera are larger than the cells in which it knows something.
             own[cv2.dilate(self._was_blocked[c], np.ones((3, 3), np.uint8)) == 0] = np.inf

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.data import CameraRig
+from mocap.foreground import EMPTY_REDUCTION
 from mocap.io.session.reading import depth_of
 from mocap.pipeline.stage import Ending, FrameWork, Job, Row, Seen, Sources, Stage, StageReport
 from mocap.pipeline.stages.carve import grid_of
 from mocap.products import masks as masks_product
+from mocap.products.empty import stored_empty
 from mocap.products.masks import read_masks
 from mocap.products.occluders import PRODUCT, occluder_attrs, occluder_rows, stored_occluders
-from mocap.volume import OccluderLearner, masks_by_cells, no_occluders
+from mocap.volume import OccluderLearner, masks_by_cells, no_occluders, things_on_floor
 from mocap.volume.occluders import MIN_CAMERAS
 from mocap.volume.standing import StandingScene, nearest_of
 
@@ -38,8 +42,14 @@ class _Look:
 
 
 def _reads(job: Job) -> Sources:
-    masks: Sources = {"masks": read_masks(job.store, job.session)}
-    return {**masks, "depth": depth_of(job.session)} if job.session.depth_sources else masks
+    sources: dict[str, Any] = {"masks": read_masks(job.store, job.session), "empty": _read_empty(job)}
+    return {**sources, "depth": depth_of(job.session)} if job.session.depth_sources else sources
+
+
+def _read_empty(job: Job) -> Iterator[tuple[int, Sequence[NDArray[np.uint8]]]]:
+    """The empty scene of a segmentation that is reused, with the first frame."""
+    for i, frame in enumerate(job.session.frames):
+        yield frame, stored_empty(job.store) if i == 0 else ()
 
 
 def _start(job: Job) -> _Look:
@@ -57,6 +67,10 @@ def _start(job: Job) -> _Look:
 
 def _step(look: _Look, seen: Seen) -> tuple[_Look, Seen, Sequence[Row]]:
     assert seen.masks is not None
+    if look.learner is not None and len(seen.empty):
+        session = look.job.session
+        small = CameraRig(tuple(camera.reduced(EMPTY_REDUCTION) for camera in session.rig))
+        look.learner.things = things_on_floor(small, grid_of(session, look.job.config), seen.empty)
     if look.learner is not None and seen.index % look.stride == 0:
         cells = masks_by_cells(seen.masks)
         look.learner.add(cells)

@@ -17,6 +17,7 @@ from mocap.foreground import (
     ForegroundSettings,
     MaskQuality,
     Segmenter,
+    empty_picture,
     mask_quality,
 )
 from mocap.foreground.quality import Triple
@@ -35,6 +36,7 @@ from mocap.pipeline.stage import (
     Stage,
     StageReport,
 )
+from mocap.products import empty as empty_product
 from mocap.products.masks import PRODUCT, mask_row, masks_from_arrays
 from mocap.volume import SecondLook, choose_grid
 from mocap.volume.second_look import LEAST_CAMERAS
@@ -48,14 +50,15 @@ _LOOK_VOXEL_M = 0.04
 class _Segmenting:
     """One segmenter per camera, which learn as they go; none where masks are taken over.
 
-    look : at all masks of a frame together; None = every camera on its own.  never_empty : names of the cameras of
-    whose picture a part was never seen empty.
+    look : at all masks of a frame together; None = every camera on its own.  empty : the empty scene as the cameras see
+    it.  never_empty : names of those of whose picture a part was never seen empty.
     """
 
     segmenters: tuple[Segmenter, ...]
     warnings: tuple[str, ...]
     each: Callable[..., Iterable[Any]]
     look: SecondLook | None = None
+    empty: tuple[NDArray[np.uint8], ...] = ()
     never_empty: tuple[str, ...] = ()
 
 
@@ -86,6 +89,7 @@ def _start(job: Job) -> _Segmenting:
         tuple(warnings),
         each,
         second_look(session) if settings.second_look else None,
+        tuple(map(empty_picture, backgrounds)),
         tuple(c.name for b, c in zip(backgrounds, session.rig, strict=True) if b.holds_somebody),
     )
 
@@ -143,7 +147,8 @@ def _then(state: _Segmenting, seen: Seen) -> tuple[Seen, Sequence[Row]]:
             [getattr(m, part) for m in found] for part in ("shadow", "doubtful", "box")
         )
         masks = look.masks(masks, shadows, doubtful, boxes)
-    return replace(seen, masks=masks), [Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))]
+    row = Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))
+    return replace(seen, masks=masks, empty=state.empty if seen.index == 0 else ()), [row]
 
 
 def _segmented(segmenter: Segmenter, picture: NDArray[np.uint8]) -> ForegroundMask:
@@ -158,7 +163,8 @@ def _finish(state: _Segmenting) -> Ending:
     if not state.segmenters:
         return Ending(attrs={PRODUCT: {"source": "masks"}})
     attrs = {"source": "images", "warnings": list(state.warnings), "never_empty": list(state.never_empty)}
-    return Ending(attrs={PRODUCT: attrs})
+    rows = [Row(empty_product.PRODUCT, c, arrays) for c, arrays in empty_product.empty_rows(state.empty)]
+    return Ending(rows, {PRODUCT: attrs})
 
 
 def region_of_interest(session: Session, camera: Camera) -> NDArray[np.bool_] | None:
@@ -239,10 +245,10 @@ def _sampled_triples(store: StageStore, session: Session) -> Iterator[Triple]:
 SEGMENT = Stage(
     name="segment",
     until="segment",
-    products=(PRODUCT,),
+    products=(PRODUCT, empty_product.PRODUCT),
     # Foreground masks of every frame: computed, or taken over from masks/. Source: CF 2.2.3.
     work=FrameWork(
-        _reads, _start, _step, _finish, finds=("masks",), then=_then, apart=("masks",), shares=_shares
+        _reads, _start, _step, _finish, finds=("masks", "empty"), then=_then, apart=("masks",), shares=_shares
     ),
     report=segment_report,
     sections=("segmentation",),

@@ -1,0 +1,110 @@
+"""Furniture told by the floor behind it: a cupboard, and what must not be taken for one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from test_floor import LIGHT, tiles
+from test_occluders import BLOCK, BOX, ROOM, SIZE, hit_box, hit_cylinder, path, pictures, rays_of, ring_rig
+
+from mocap.data import CameraRig
+from mocap.volume import OccluderLearner, masks_by_cells, things_on_floor
+from mocap.volume.occluders import VOXEL_M
+
+WOOD = (70.0, 60.0, 160.0)
+MAT_AT, MAT_M = np.array([-0.6, 0.4]), 0.5
+
+
+def empty(i: int, *boxes: np.ndarray, floor: Callable[[np.ndarray], np.ndarray] = tiles) -> np.ndarray:
+    """What camera i sees of the empty room, (H, W, 4): its floor, and boxes of wood."""
+    eye, rays = rays_of(i)
+    with np.errstate(divide="ignore"):
+        t = np.where(rays[:, 2] < 0, -eye[2] / rays[:, 2], np.inf)
+    colours = np.full((len(rays), 3), 200.0)
+    hit = np.isfinite(t)
+    colours[hit] = floor(eye[:2] + t[hit, None] * rays[hit, :2])
+    for box in boxes:
+        colours[hit_box(eye, rays, box) < t] = WOOD
+    shown = np.clip(colours * LIGHT[i], 0, 255).reshape(*SIZE[::-1], 3).astype(np.uint8)
+    return np.dstack([shown, np.full(SIZE[::-1], 255, np.uint8)])
+
+
+def things(*boxes: np.ndarray, cameras: range = range(6), **more: object) -> np.ndarray:
+    rig = CameraRig(tuple(ring_rig()[i] for i in cameras))
+    return things_on_floor(rig, ROOM, [empty(i, *boxes, **more) for i in cameras])  # type: ignore[arg-type]
+
+
+def inside(points: np.ndarray, box: np.ndarray, by_m: float = 0.0) -> np.ndarray:
+    return ((points > box[0] - by_m) & (points < box[1] + by_m)).all(axis=1)
+
+
+@pytest.mark.parametrize("cameras", [range(6), range(5), range(4)])
+def test_what_stands_is_found_before_anybody_walks(cameras: range) -> None:
+    points = things(BOX, cameras=cameras)
+    assert len(np.unique(points, axis=0)) == len(points)
+    assert inside(points, BOX, 2 * VOXEL_M if len(cameras) > 4 else 0.3).mean() > 0.95
+    # In the middle of what it is, and half of it: cameras look at its upper edge against the wall.
+    assert inside(points, BOX).sum() * VOXEL_M**3 > 0.4 * np.prod(np.ptp(BOX, axis=0))
+
+
+def test_an_empty_room_holds_nothing() -> None:
+    assert len(things()) == 0
+
+
+def test_a_mat_lies_and_hides_nobody() -> None:
+    def floor(xy: np.ndarray) -> np.ndarray:
+        is_mat = np.linalg.norm(xy - MAT_AT, axis=1) < MAT_M
+        return np.where(is_mat[:, None], WOOD, tiles(xy))
+
+    assert len(things(floor=floor)) == 0
+
+
+def test_two_cameras_tell_nothing() -> None:
+    assert len(things(BOX, cameras=range(2))) == 0
+
+
+def test_who_is_always_there_is_no_furniture() -> None:
+    """A person whom no picture lacks is not known to be empty, whatever colour is painted in."""
+    pictures_ = []
+    for i in range(6):
+        eye, rays = rays_of(i)
+        own = empty(i)
+        person = np.isfinite(hit_cylinder(eye, rays, np.zeros(2))).reshape(SIZE[::-1])
+        own[person] = (*WOOD, 0)
+        pictures_.append(own)
+    assert len(things_on_floor(ring_rig(), ROOM, pictures_)) == 0
+    for own in pictures_:
+        own[..., 3] = 255
+    assert len(things_on_floor(ring_rig(), ROOM, pictures_)) > 0  # this is what would happen
+
+
+def test_wood_on_a_wooden_floor_is_not_told() -> None:
+    assert len(things(BOX, floor=lambda xy: np.broadcast_to(WOOD, (len(xy), 3)))) == 0
+
+
+def test_learners_know_things_from_the_first_frame() -> None:
+    """Where nobody has been behind them yet; and where somebody is seen through them, they are not believed."""
+    learner = OccluderLearner(ring_rig(), ROOM)
+    (masks,) = pictures(path(12)[3:4], with_box=True)
+    learner.add(masks_by_cells(masks))
+    assert learner.occluders().is_empty
+    learner.things = things(BLOCK)
+    known = learner.occluders()
+    for camera in ring_rig():
+        depth = known.depth_m[camera.name]
+        eye, rays = rays_of(int(camera.name[1:]))
+        true = (hit_box(eye, rays, BLOCK) * (rays @ camera.R[2])).reshape(SIZE[::-1])[2::4, 2::4]
+        told = np.isfinite(depth) & np.isfinite(true)
+        assert told.sum() > 0.5 * np.isfinite(true).sum()
+        # A hull is larger than the thing: it begins before it, and not behind but where its upper edge is not known.
+        before = (true - np.where(told, depth, 0.0))[told]
+        assert np.quantile(before, 0.2) > -0.1
+        assert np.median(before) < 0.4
+    through = OccluderLearner(ring_rig(), ROOM)
+    through.things = learner.things
+    for masks in pictures(path(60), with_box=False):
+        through.add(masks_by_cells(masks))
+    shares = [np.mean([*occluders.shares.values()]) for occluders in (known, through.occluders())]
+    assert shares[1] < 0.6 * shares[0]
