@@ -53,7 +53,7 @@ _STEP_M = 0.05
 AGAIN_LOOKS = 6
 _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
-_MANY = 6  # of so many cameras hulls forgive one
+MANY_CAMERAS = 6  # of so many hulls forgive one
 # Cameras whose foreground nothing surer explains; the rays of two cross in many places. Of four cameras two: one sees
 # nothing, and to another one side of somebody explains what it sees of the other.
 _MIN_NEEDING = 3
@@ -88,7 +88,7 @@ class OccluderLearner:
         side = max(VOXEL_M, grid.voxel_size_m)
         self.things = np.zeros((0, 3))
         self._n_faulty = max(1, len(rig) // 2)
-        self._n_usual = 1 if len(rig) >= _MANY else 0
+        self._n_usual = 1 if len(rig) >= MANY_CAMERAS else 0
         self._carver = Carver(self._rig, VoxelGrid.from_bounds(grid.origin, grid.upper, side))
         self._space = _space_of(rig, grid, side)
         self._tables = [_rays_of(camera, self._space) for camera in self._rig]
@@ -148,7 +148,8 @@ class OccluderLearner:
         """The maps of all cameras from the votes so far: for each cell the nearest solid voxel that hides somebody.
 
         What hid somebody from this camera itself counts when it stands behind whoever the cell has shown. What hid
-        somebody from two others, or is known to stand, counts until the cell has shown somebody behind it.
+        somebody from two others counts until the cell has shown somebody behind it. What is known to stand counts where
+        the cell has shown nobody: others say where it begins and ends, and hulls of it are larger.
         """
         has_moved = self._n_odd > max(_OFTEN * self._n_telling, _FEW_FRAMES)
         n_blocked = np.where(has_moved[:, None], np.uint16(0), self.n_blocked)
@@ -160,11 +161,12 @@ class OccluderLearner:
         maps = {}
         for c, (camera, seen) in enumerate(zip(self._rig, self._seen_m, strict=True)):
             told, own = squares.nearest(c, is_crossed), squares.nearest(c, has_blocked[c], beyond=seen[1])
-            told = np.minimum(told, things.nearest(c, np.ones(len(self.things), dtype=np.bool_)))
             told[told < seen[1]] = np.inf
+            stands = things.nearest(c, np.ones(len(self.things), dtype=np.bool_))
+            stands[np.isfinite(seen[1])] = np.inf
             # Voxels near a camera are larger than the cells in which it knows something.
             own[cv2.dilate(self._was_blocked[c], np.ones((3, 3), np.uint8)) == 0] = np.inf
-            maps[camera.name] = np.minimum(told, own)
+            maps[camera.name] = np.minimum(np.minimum(told, own), stands)
         return Occluders(maps, CELL_PX)
 
     def _vote(self, c: int, near: DepthMap, verdict: Cells) -> None:

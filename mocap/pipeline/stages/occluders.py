@@ -20,7 +20,7 @@ from mocap.products.empty import stored_empty
 from mocap.products.masks import read_masks
 from mocap.products.occluders import PRODUCT, occluder_attrs, occluder_rows, stored_occluders
 from mocap.volume import OccluderLearner, masks_by_cells, no_occluders, things_on_floor
-from mocap.volume.occluders import MIN_CAMERAS
+from mocap.volume.occluders import MANY_CAMERAS, MIN_CAMERAS
 from mocap.volume.standing import StandingScene, nearest_of
 
 # Twice as many cost twice as much and know no more (knees and ankles in the hull 76 and 92 %, 76 and 90 % with these).
@@ -67,8 +67,9 @@ def _start(job: Job) -> _Look:
 
 def _step(look: _Look, seen: Seen) -> tuple[_Look, Seen, Sequence[Row]]:
     assert seen.masks is not None
-    if look.learner is not None and len(seen.empty):
-        session = look.job.session
+    session = look.job.session
+    # Hulls of more cameras forgive one, and are wider for what one more does not say (decision 81).
+    if look.learner is not None and len(seen.empty) and len(session.rig) < MANY_CAMERAS:
         small = CameraRig(tuple(camera.reduced(EMPTY_REDUCTION) for camera in session.rig))
         look.learner.things = things_on_floor(small, grid_of(session, look.job.config), seen.empty)
     if look.learner is not None and seen.index % look.stride == 0:
