@@ -39,6 +39,7 @@ from mocap.pose.deviation import widened
 from mocap.pose.join import gaps_m, joined_person, same_persons, seam_frame
 from mocap.pose.person import finish_person
 from mocap.pose.result import FollowedPerson
+from mocap.products import empty as empty_product
 from mocap.products import followed as followed_product
 from mocap.products import occluders as occluders_product
 from mocap.products import owners as owners_product
@@ -55,7 +56,12 @@ from mocap.volume.standing import nearest_of
 Arrays = dict[str, NDArray[Any]]
 
 # Products that are not joined frame by frame as they are.
-_WHOLE = (occluders_product.PRODUCT, followed_product.PRODUCT, poses_product.PRODUCT)
+_WHOLE = (
+    empty_product.PRODUCT,
+    occluders_product.PRODUCT,
+    followed_product.PRODUCT,
+    poses_product.PRODUCT,
+)
 # Product -> array of it that names persons. Those of keypoints are the figures' own and name no track.
 _NAMES = {tracks_product.PRODUCT: "person", owners_product.PRODUCT: "owner"}
 # The distance within which a landmark counts as found.
@@ -349,6 +355,7 @@ def _write_products(job: Job, pieces: Sequence[Piece]) -> dict[str, str]:
             if product not in _WHOLE:
                 _write_frames(replace(job, key=keys[stage.name]), product, pieces)
     if any(stage.products == (occluders_product.PRODUCT,) for stage in stages):
+        _write_empty(replace(job, key=keys["segment"]), pieces[0])
         _write_occluders(replace(job, key=keys["occluders"]), pieces)
     _write_persons(replace(job, key=keys["pose"]), pieces)
     return keys
@@ -389,6 +396,13 @@ def _renamed(product: str, arrays: Arrays, names: Mapping[int, int]) -> Arrays:
         return renamed
     order = np.argsort(new, kind="stable")
     return {name: array[order] for name, array in renamed.items()}
+
+
+def _write_empty(job: Job, piece: Piece) -> None:
+    """The empty scene as a piece has learnt it."""
+    with job.writer(empty_product.PRODUCT) as out:
+        for c, arrays in empty_product.empty_rows(empty_product.stored_empty(piece.store)):
+            out.append(c, **arrays)
 
 
 def _write_occluders(job: Job, pieces: Sequence[Piece]) -> None:
