@@ -49,6 +49,8 @@ _MIN_LITRES = 2.0
 _FREE_PER_BLOCKED = 9  # at least nine votes of ten: silhouettes have frayed edges
 # How far a person must have gone to give evidence again: a hole in a mask goes with the person.
 _STEP_M = 0.05
+# Who walks about says better than the floor where things begin and end: from so many squares in which somebody was.
+_SQUARE_M, _SQUARES_WALKED = 0.4, 8
 # Who stays gives evidence again after so many looks: what is never seen of him cannot be judged.
 AGAIN_LOOKS = 6
 _PERSON_LITRES = 20.0
@@ -75,8 +77,8 @@ _ODD_SHARE, _OFTEN, _FEW_FRAMES = 0.025, 0.1, 4
 class OccluderLearner:
     """Collects votes frame by frame: `add` frames in any order and number, `occluders` whenever they are wanted.
 
-    grid : where persons may be.  things : centres (N, 3) m of cubes of VOXEL_M in which something is known to stand; it
-    may be set at any time.
+    grid : where persons may be.  things : centres (N, 3) m of cubes of VOXEL_M in which something is known to stand,
+    asked where nobody walks about; they may be set at any time.
     Memory is constant: votes and tables of one grid. Not thread-safe.
     Raises ValueError for fewer than MIN_CAMERAS cameras.
     """
@@ -149,20 +151,23 @@ class OccluderLearner:
 
         What hid somebody from this camera itself counts when it stands behind whoever the cell has shown. What hid
         somebody from two others counts until the cell has shown somebody behind it. What is known to stand counts where
-        the cell has shown nobody: others say where it begins and ends, and hulls of it are larger.
+        people stay in their places, in cells that have shown nobody: hulls of things are larger than things, and those
+        who walk about say better where they begin and end.
         """
         has_moved = self._n_odd > max(_OFTEN * self._n_telling, _FEW_FRAMES)
         n_blocked = np.where(has_moved[:, None], np.uint16(0), self.n_blocked)
         solid = solid_voxels(self._space, self.n_free, n_blocked)
         squares = _squares(self._rig, self._space.centers(solid), self._space.voxel_size_m)
-        things = _squares(self._rig, self.things, VOXEL_M)
+        squares_walked = len(np.unique(np.floor(self._places[:, :2] / _SQUARE_M), axis=0))
+        known = self.things if squares_walked < _SQUARES_WALKED else self.things[:0]
+        things = _squares(self._rig, known, VOXEL_M)
         has_blocked = n_blocked[:, solid] > 0
         is_crossed = np.count_nonzero(has_blocked, axis=0) >= _CROSSING
         maps = {}
         for c, (camera, seen) in enumerate(zip(self._rig, self._seen_m, strict=True)):
             told, own = squares.nearest(c, is_crossed), squares.nearest(c, has_blocked[c], beyond=seen[1])
             told[told < seen[1]] = np.inf
-            stands = things.nearest(c, np.ones(len(self.things), dtype=np.bool_))
+            stands = things.nearest(c, np.ones(len(known), dtype=np.bool_))
             stands[np.isfinite(seen[1])] = np.inf
             # Voxels near a camera are larger than the cells in which it knows something.
             own[cv2.dilate(self._was_blocked[c], np.ones((3, 3), np.uint8)) == 0] = np.inf

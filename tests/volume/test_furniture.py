@@ -11,7 +11,7 @@ from test_occluders import BLOCK, BOX, ROOM, SIZE, hit_box, hit_cylinder, path, 
 
 from mocap.data import CameraRig
 from mocap.volume import OccluderLearner, masks_by_cells, things_on_floor
-from mocap.volume.occluders import VOXEL_M
+from mocap.volume.occluders import VOXEL_M, painted
 
 WOOD = (70.0, 60.0, 160.0)
 MAT_AT, MAT_M = np.array([-0.6, 0.4]), 0.5
@@ -85,7 +85,7 @@ def test_wood_on_a_wooden_floor_is_not_told() -> None:
 
 
 def test_learners_know_things_from_the_first_frame() -> None:
-    """Where nobody has been behind them yet; and where somebody is seen through them, they are not believed."""
+    """Where nobody has been behind them yet."""
     learner = OccluderLearner(ring_rig(), ROOM)
     (masks,) = pictures(path(12)[3:4], with_box=True)
     learner.add(masks_by_cells(masks))
@@ -102,9 +102,30 @@ def test_learners_know_things_from_the_first_frame() -> None:
         before = (true - np.where(told, depth, 0.0))[told]
         assert np.quantile(before, 0.2) > -0.1
         assert np.median(before) < 0.4
+
+
+def test_who_is_seen_through_a_thing_is_believed() -> None:
+    """Only cells that have shown nobody hide; others stay as they are known."""
+    points, at = things(BLOCK), np.array([0.4, -0.05])
+    places = at + 0.02 * np.random.default_rng(1).standard_normal((40, 2))
     through = OccluderLearner(ring_rig(), ROOM)
-    through.things = learner.things
-    for masks in pictures(path(60), with_box=False):
+    through.things = points
+    for masks in pictures(places, with_box=False):
         through.add(masks_by_cells(masks))
-    shares = [np.mean([*occluders.shares.values()]) for occluders in (known, through.occluders())]
-    assert shares[1] < 0.6 * shares[0]
+    known, all_of_it = through.occluders(), painted(ring_rig(), points, VOXEL_M)
+    for camera in ring_rig():
+        shows = masks_by_cells(pictures(places[:1], with_box=False)[0])[int(camera.name[1:])] == 2
+        hides = np.isfinite(known.depth_m[camera.name])
+        assert (hides & shows).sum() < 0.2 * shows.sum()
+        assert (hides & ~shows).sum() > 0.8 * (np.isfinite(all_of_it.depth_m[camera.name]) & ~shows).sum()
+
+
+def test_who_walks_about_says_better() -> None:
+    plain, told = OccluderLearner(ring_rig(), ROOM), OccluderLearner(ring_rig(), ROOM)
+    told.things = things(BLOCK)
+    for masks in pictures(path(60), with_box=True):
+        plain.add(masks_by_cells(masks))
+        told.add(masks_by_cells(masks))
+    assert not plain.occluders().is_empty
+    for name, depth in plain.occluders().depth_m.items():
+        np.testing.assert_array_equal(told.occluders().depth_m[name], depth)
