@@ -385,7 +385,7 @@ def test_killed_in_a_fresh_folder(plain: RunResult, masks_session: Path, tmp_pat
     with pytest.raises(Killed):
         run_session(masks_session, out, config=plain_config(), seed=SEED, progress=interrupt)
     assert [p.name for p in out.iterdir()] == ["store.zarr"]
-    assert {p.name for p in (out / "store.zarr").iterdir() if p.is_dir()} == {"occluders", "segment"}
+    assert {p.name for p in (out / "store.zarr").iterdir() if p.is_dir()} == {"empty", "occluders", "segment"}
     resumed = run_session(masks_session, out, config=plain_config(), seed=SEED, resume=True)
     assert resumed.reused == ("segment", "occluders")
     assert files_of(out) == files_of(plain.out)

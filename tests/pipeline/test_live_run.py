@@ -47,12 +47,18 @@ from mocap.pose import forward
 from mocap.pose.forward import ForwardSettings, Sighting
 from mocap.pose.person import VolumeClip
 from mocap.pose.volume import PersonHull
+from mocap.products import empty
 
 SETTINGS = (*LIVE_DEFAULTS, *PLAIN, "tracking.confirm_frames=2", *LIVE_SETTINGS)
 SOON = ForwardSettings(watched_s=0.5, least_frames=4)  # the clip has a second
 THOROUGH = ("pose.n_layers=4", "pose.n_particles=200", "pose.n_start_frames=2", "pose.n_first_poses=8")
+# Those that have a row per frame.
 PRODUCTS = [
-    product for stage in CHAINS["voxels"] if stage.name in ("segment", "carve") for product in stage.products
+    product
+    for stage in CHAINS["voxels"]
+    if stage.name in ("segment", "carve")
+    for product in stage.products
+    if product != empty.PRODUCT
 ]
 
 

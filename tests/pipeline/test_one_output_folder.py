@@ -69,7 +69,7 @@ def test_the_record_is_what_run_json_holds(finished: Path) -> None:
     assert record_to_json(read_record(finished)) == about
     assert about["kind"] == "voxels"
     assert about["product_keys"].keys() == {
-        *("segment", "occluders", "carve", "track", "track-owners", "pose-frames", "pose")
+        *("segment", "empty", "occluders", "carve", "track", "track-owners", "pose-frames", "pose")
     }
 
 
@@ -262,7 +262,7 @@ def test_products_of_a_run_before_are_not_exported_after_a_shorter_one(
 
 @pytest.mark.parametrize(
     ("keep", "kept"),
-    [("masks", {"segment", "occluders", "track", "pose-frames", "pose"}), ("nothing", set())],
+    [("masks", {"segment", "empty", "occluders", "track", "pose-frames", "pose"}), ("nothing", set())],
 )
 def test_results_do_not_depend_on_what_is_kept(
     session: Path, finished: Path, tmp_path: Path, keep: str, kept: set[str]
