@@ -118,9 +118,6 @@ class FrameWork:
     that the walk began with, and what it is to know of the frame is `Seen.begun`.
     apart : the first half leaves nothing in its state that the second half or the end needs, so another process may do
     it: what of `reads` the second half looks at. None = it does.
-    shares : the first half asks nothing of one camera for another's sake, so that several processes may do it: job and
-    state of each of up to so many, for cameras that follow each other in the order of the rig. All that they find, and
-    `begun`, has a value per camera.
     """
 
     reads: Callable[[Job], Sources]
@@ -130,7 +127,6 @@ class FrameWork:
     finds: tuple[str, ...] = ()
     then: Callable[[Any, Seen], tuple[Seen, Sequence[Row]]] | None = None
     apart: tuple[str, ...] | None = None
-    shares: Callable[[Job, Any, int], Sequence[tuple[Job, Any]]] | None = None
 
 
 @dataclass(frozen=True)

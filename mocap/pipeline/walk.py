@@ -79,22 +79,16 @@ Found = tuple[Seen, Sequence[Row]]
 class Walker:
     """A stage that works frame by frame, with its state.  busy_s : how long each half of its steps has worked."""
 
-    def __init__(self, stage: Stage, job: Job, state: Any = None) -> None:
+    def __init__(self, stage: Stage, job: Job) -> None:
         assert isinstance(stage.work, FrameWork)
         self.stage, self.work, self.job = stage, stage.work, job
         self.busy_s = [0.0, 0.0]
-        self.start(state)
+        self.start()
 
     def start(self, state: Any = None) -> None:
         """Begin a walk, with a state or anew."""
         with self._timed(0):
             self.state = self.work.start(self.job) if state is None else state
-
-    def shares(self, n: int) -> list[Walker]:
-        """Up to n walkers that do the first half together, each for some of the cameras."""
-        if self.work.shares is None:
-            return [self]
-        return [Walker(self.stage, job, state) for job, state in self.work.shares(self.job, self.state, n)]
 
     @property
     def wall_s(self) -> float:
@@ -108,19 +102,14 @@ class Walker:
     def steps(
         self, frames: Iterable[Seen], recorder: Recorder, apart: Callable[[Iterator[Found]], Iterator[Found]]
     ) -> Iterator[Seen]:
-        """The frames in order, with what was found in them.  apart : has what it is given made on another thread; it is
-        called at once."""
-        found = self.first(frames)
-        return self.recorded(found if self.work.then is None else apart(found), recorder)
+        """The frames in order, with what was found in them.  apart : has what it is given made on another thread, or by
+        another process; called at once, by who asks."""
+        found = map(self._first, frames)
+        return self._recorded(found if self.work.then is None else map(self._second, apart(found)), recorder)
 
-    def first(self, frames: Iterable[Seen]) -> Iterator[Found]:
-        """The frames in order, with what the first half has found in them."""
-        return map(self._first, frames)
-
-    def recorded(self, found: Iterable[Found], recorder: Recorder) -> Iterator[Seen]:
-        """The frames of a first half in order, with what was found in them."""
+    def _recorded(self, found: Iterable[Found], recorder: Recorder) -> Iterator[Seen]:
         n = len(self.job.session.frames)
-        for seen, rows in map(self._second, found):
+        for seen, rows in found:
             recorder.take(rows)
             if seen.index + 1 < n:  # the last one is done when the products are
                 self.job.progress(self.stage.name, seen.index + 1, n)
@@ -226,87 +215,29 @@ def _go(
 ) -> None:
     """Every frame through the hands of all walkers, each half of a step on a thread of its own where there are some.
 
-    The very first half has processes of its own where that can be: an interpreter runs one thread at a time.
+    The very first half has a process of its own where that can be: an interpreter runs one thread at a time.
     """
-    (first, *others), n_threads = walkers, walkers[0].job.n_threads
+    first, n_threads = walkers[0], walkers[0].job.n_threads
     reads = [walker.work.reads(walker.job) for walker in walkers]
-    is_apart = may_fork and n_threads > 1 and can_fork() and first.work.apart is not None
-    n_left = n_threads - 1 if is_apart else n_threads
+    apart = first.work.apart if may_fork and n_threads > 1 and can_fork() else None
+    n_left = n_threads if apart is None else n_threads - 1
 
     def on_thread(stream: Iterator[T]) -> Iterator[T]:
         return stream if n_left == 1 else streams.enter_context(Ahead(stream, _AHEAD_FRAMES))
 
-    if is_apart:
-        stream = first.recorded(_apart(walkers, reads, streams), recorders[0])
-    else:
-        stream = first.steps(_frames(first, _once_each(walkers, reads), streams), recorders[0], on_thread)
-    for walker, recorder in zip(others, recorders[1:], strict=True):
-        stream = walker.steps(on_thread(stream), recorder, on_thread)
+    def by_process(found: Iterator[Found]) -> Iterator[Found]:
+        spent = reads[0].keys() - {*(apart or ()), *(name for others in reads[1:] for name in others)}
+        ask = streams.enter_context(answering(lambda: _telling(first, found, spent)))
+        return streams.enter_context(Ahead(_told(first, ask), _AHEAD_FRAMES))
+
+    stream: Iterator[Seen] = _frames(walkers, reads, streams)
+    for walker, recorder in zip(walkers, recorders, strict=True):
+        if walker is first:
+            stream = walker.steps(stream, recorder, on_thread if apart is None else by_process)
+        else:
+            stream = walker.steps(on_thread(stream), recorder, on_thread)
     for _ in stream:
         pass
-
-
-def _once_each(walkers: Sequence[Walker], reads: Sequence[Sources], known: Iterable[str] = ()) -> Sources:
-    """What walkers read that none before them reads or finds.  known : fields of `Seen` that are there already."""
-    sources: dict[str, Iterable[tuple[int, Any]]] = {}
-    found = {*known}
-    for walker, own in zip(walkers, reads, strict=True):
-        sources |= {name: rows for name, rows in own.items() if name not in found}
-        found |= {*own, *walker.work.finds}
-    return sources
-
-
-def _frames(walker: Walker, sources: Sources, streams: ExitStack) -> Iterator[Seen]:
-    """The frames of the session in order, with what is read of them; the time is that of a walker's first half."""
-    for source in sources.values():
-        if isinstance(source, AbstractContextManager):
-            streams.enter_context(source)
-    return _read(walker, {name: iter(source) for name, source in sources.items()})
-
-
-def _read(walker: Walker, values: Mapping[str, Iterator[tuple[int, Any]]]) -> Iterator[Seen]:
-    for i, frame in enumerate(walker.job.session.frames):
-        started = time.perf_counter()
-        with part("read"):
-            seen = Seen(i, frame, **{name: next(rows)[1] for name, rows in values.items()})
-        walker.busy_s[0] += time.perf_counter() - started
-        yield seen
-
-
-def _apart(walkers: Sequence[Walker], reads: Sequence[Sources], streams: ExitStack) -> Iterator[Found]:
-    """What the first half finds, by forked processes: of some cameras each, where it has shares.
-
-    What only walkers behind it read is read here.
-    """
-    first, *others = walkers
-    own = reads[0]
-    behind = _once_each(others, reads[1:], known={*own, *first.work.finds})
-    kept = own.keys() & {*(first.work.apart or ()), *(name for read in reads[1:] for name in read)}
-    shares = first.shares(first.job.n_threads)
-    asks = []
-    for share in shares:
-        found = share.first(_frames(share, own if share is first else share.work.reads(share.job), streams))
-        asks.append(streams.enter_context(answering(partial(_telling, share, found, own.keys() - kept))))
-    # No thread is begun before all processes are there.
-    told = [streams.enter_context(Ahead(_told(*of), _AHEAD_FRAMES)) for of in zip(shares, asks, strict=True)]
-    rest = _frames(others[0], behind, streams) if behind else None
-
-    def whole(parts: Sequence[Found]) -> Found:
-        """What was found in a frame by all, as if one had found it."""
-        first.busy_s[0] = max(share.busy_s[0] for share in shares)
-        seen, rows = parts[0]
-        if len(parts) > 1:
-            fields = [*first.work.finds, *kept, "begun"]
-            of_cameras: dict[str, Any] = {
-                name: [x for some, _ in parts for x in getattr(some, name)] for name in fields
-            }
-            seen, rows = replace(seen, **of_cameras), [row for _, some in parts for row in some]
-        if rest is not None:
-            here = next(rest)
-            seen = replace(seen, **{name: getattr(here, name) for name in behind})
-        return seen, rows
-
-    return map(whole, zip(*told, strict=True))
 
 
 Told = tuple[Found | None, float, Measured]
@@ -332,3 +263,28 @@ def _told(walker: Walker, ask: Callable[[None], Told]) -> Iterator[Found]:
         if found is None:
             return
         yield found
+
+
+def _frames(walkers: Sequence[Walker], reads: Sequence[Sources], streams: ExitStack) -> Iterator[Seen]:
+    """The frames of the session in order, with what is read of them; every source is opened once.
+
+    The first walker's time is that of the reading too.
+    """
+    sources: dict[str, Iterable[tuple[int, Any]]] = {}
+    found: set[str] = set()
+    for walker, own in zip(walkers, reads, strict=True):
+        sources.update({name: rows for name, rows in own.items() if name not in found | sources.keys()})
+        found.update(walker.work.finds)
+    for source in sources.values():
+        if isinstance(source, AbstractContextManager):
+            streams.enter_context(source)
+    return _read(walkers[0], {name: iter(source) for name, source in sources.items()})
+
+
+def _read(first: Walker, values: Mapping[str, Iterator[tuple[int, Any]]]) -> Iterator[Seen]:
+    for i, frame in enumerate(first.job.session.frames):
+        started = time.perf_counter()
+        with part("read"):
+            seen = Seen(i, frame, **{name: next(rows)[1] for name, rows in values.items()})
+        first.busy_s[0] += time.perf_counter() - started
+        yield seen

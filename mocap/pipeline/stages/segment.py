@@ -94,20 +94,6 @@ def _start(job: Job) -> _Segmenting:
     )
 
 
-def _shares(job: Job, state: _Segmenting, n: int) -> list[tuple[Job, _Segmenting]]:
-    """A camera is segmented by itself. None is where masks are taken over."""
-    if not state.segmenters:
-        return [(job, state)]
-    rig, shares = job.session.rig, []
-    for places in np.array_split(np.arange(len(rig)), min(n, len(rig))):
-        own = slice(places[0], places[-1] + 1)
-        session = replace(job.session, rig=rig.subset(rig.names[own]))
-        shares.append(
-            (replace(job, session=session), replace(state, segmenters=state.segmenters[own], each=map))
-        )
-    return shares
-
-
 def second_look(session: Session) -> SecondLook | None:
     """A second look at the masks of a session; None where its cameras are too few or share no room."""
     if len(session.rig) < LEAST_CAMERAS:
@@ -247,9 +233,7 @@ SEGMENT = Stage(
     until="segment",
     products=(PRODUCT, empty_product.PRODUCT),
     # Foreground masks of every frame: computed, or taken over from masks/. Source: CF 2.2.3.
-    work=FrameWork(
-        _reads, _start, _step, _finish, finds=("masks", "empty"), then=_then, apart=("masks",), shares=_shares
-    ),
+    work=FrameWork(_reads, _start, _step, _finish, finds=("masks", "empty"), then=_then, apart=("masks",)),
     report=segment_report,
     sections=("segmentation",),
     facts=("fps", "roi_px", "room_bounds_m"),
