@@ -199,6 +199,8 @@ class PoseConfig(_Section):
     """Nats that the colours of places on the body are worth when poses are refined once more, per half of their mean
     squared deviation; 0 = not once more. They are learnt over the clip, after all poses are found; the pictures are
     read twice more."""
+    texture_every_frames: int = Field(default=1, ge=1, le=10)
+    """Frames from one pose that is refined on these colours to the next; those between are moved along with them."""
     feedback_share: float = Field(default=0.5, ge=0, lt=1)
     """Share of the particles that take over the refined pose."""
     look_again: bool = True

@@ -99,6 +99,7 @@ def pose_settings(pose: PoseConfig, method: Method, layout: StateLayout) -> Pose
         posture_nats=pose.posture_nats,
         colour_weight=pose.colour_weight,
         texture_weight=pose.texture_weight,
+        texture_every_frames=pose.texture_every_frames,
         feedback_share=pose.feedback_share,
         look_again=pose.look_again,
         search_every_frames=pose.search_every_frames,

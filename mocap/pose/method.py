@@ -65,8 +65,9 @@ class EvidenceSettings(_Strict):
     """A part that overlaps others by a larger share teaches no colours."""
     colour_min_occupancy: float = 0.6
     """A part that lies in the hull by a smaller share teaches no colours."""
-    texture_frames: int = 120
-    """Frames of a clip, evenly spread, that its texture is learnt from; half as many teach as much (decision 71)."""
+    texture_frames: int = 60
+    """Frames of a clip, evenly spread, that its texture is learnt from; twice as many teach no more, and nor do half as
+    many (decision 71)."""
     unexplained_m: float = 0.05
     """A point of the hull further than this from the body is not explained by it."""
 

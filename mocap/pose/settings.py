@@ -25,6 +25,7 @@ class PoseSettings:
     posture_nats: float = 2.0
     colour_weight: float = 200.0
     texture_weight: float = 0.0
+    texture_every_frames: int = 1
     feedback_share: float = 0.5
     look_again: bool = True
     search_every_frames: int | Literal["auto"] = 1

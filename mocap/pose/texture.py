@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.arrays import Indices
+from mocap.arrays import Array, Indices
+from mocap.data.problem import StateLayout
 from mocap.forks import can_fork, forked, shared_zeros
 from mocap.likelihood.residuals import (
     ColourCounts,
@@ -20,6 +21,7 @@ from mocap.likelihood.residuals import (
 )
 from mocap.pose.deviation import FrameSeries, fit_covariance
 from mocap.pose.evidence import PersonClip
+from mocap.pose.follow import unbroken
 from mocap.pose.volume import VolumeObservation
 
 # What is done with the rows of a clip that one process takes, and which of the two it is.
@@ -27,21 +29,25 @@ _Half = Callable[[Indices, int], None]
 
 
 def settle_on_texture(clip: PersonClip, series: FrameSeries) -> None:
-    """Refine the pose of every frame on hull, outlines and texture together, in place.
+    """Refine the poses of some frames on hull, outlines and texture together, and carry those between them along, in
+    place.
 
     A pose that was off one way in one frame and the other way in the next has smeared the texture, and is drawn to the
-    middle: what is left of it is what is constant. The pictures are read twice. Frames without pictures, or without a
-    hull, stay as they are.
+    middle: what is left of it is what is constant. It is off for a while, not for a frame: every
+    `texture_every_frames`-th frame tells enough. The pictures are read twice. Frames without pictures, or without a
+    hull, stay as they are where they have no neighbours.
     """
     observation = clip.observation
     assert isinstance(observation, VolumeObservation)
-    if observation.pictures_of is None:
+    if observation.pictures_of is None or not len(series):
         return
     tools = observation.tools
     weight, method = tools.settings.texture_weight, tools.settings.method
     texture = texture_of(clip, observation, series)
     # The colours of limbs have had their say.
     observation = observation.with_tools(replace(tools, settings=replace(tools.settings, colour_weight=0.0)))
+    found = series.states.copy()
+    is_refined = shared_zeros((len(series),), np.bool_)
 
     def settle(rows: Indices, half: int) -> None:
         for row, crops in _crops(clip, observation, rows):
@@ -56,8 +62,26 @@ def settle_on_texture(clip: PersonClip, series: FrameSeries) -> None:
             series.fit_covariance[row] = fit_covariance(tools.body, state, fit.information, method.deviation)
             series.misfit[row], series.unexplained[row] = fit.misfit, fit.unexplained
             series.log_likelihood[row] = fit.log_likelihood
+            is_refined[row] = True
 
-    _in_halves(settle, np.arange(len(series)), tools.n_threads)
+    every = tools.settings.texture_every_frames
+    _in_halves(settle, np.unique([*range(0, len(series), every), len(series) - 1]), tools.n_threads)
+    for piece in unbroken(clip.frames):
+        own = series.rows(piece)  # views
+        _carry_along(tools.body.layout, found[piece], own, np.flatnonzero(is_refined[piece]))
+
+
+def _carry_along(layout: StateLayout, found: Array, series: FrameSeries, refined: Indices) -> None:
+    """Move the poses between refined rows as those have been moved from what was found (T, D), in place."""
+    if not len(refined):
+        return
+    between, moved = np.setdiff1d(np.arange(len(found)), refined), series.states[refined] - found[refined]
+    for column in range(layout.n_columns):
+        series.states[between, column] += np.interp(between, refined, moved[:, column])
+    series.states[between] = np.clip(series.states[between], layout.lower, layout.upper)
+    before = refined[np.maximum(np.searchsorted(refined, between) - 1, 0)]
+    after = refined[np.minimum(np.searchsorted(refined, between), len(refined) - 1)]
+    series.settled[between] = series.settled[before] & series.settled[after]
 
 
 def texture_of(clip: PersonClip, observation: VolumeObservation, series: FrameSeries) -> Texture:

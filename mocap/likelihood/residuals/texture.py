@@ -33,6 +33,8 @@ from mocap.likelihood.residuals.outlines import PinholeView
 from mocap.likelihood.residuals.surface import flesh_sample
 
 _MAD = 1.4826  # a normal deviation by the median of what differs
+_PYRAMID_STD_PX = 1.0  # deviation of the mask (1, 4, 6, 4, 1) / 16 by which a level of a pyramid is smoothed
+_LEAST_STD_PX = 0.5  # less is what reading between pixels smooths by
 
 
 @dataclass(frozen=True)
@@ -120,14 +122,13 @@ def person_crops(
             inside = inside & (view.undistort(behind, window) == 0)
         if len(other_points):
             inside = inside & ~_near(other_points, camera, window, numbers.apart_m * px_per_m)
-        rows, columns = inside.shape
-        seen = luma_and_chroma(crop.reshape(-1, 3)).reshape(rows, columns, 3)
-        smooth = cv2.GaussianBlur(seen, (0, 0), numbers.blur_m * px_per_m)
-        colours.append(np.asarray(smooth, dtype=np.uint8).reshape(-1, 3))
+        smooth, stride = _smoothed(crop, numbers.blur_m * px_per_m)
+        inside = inside[::stride, ::stride]
+        colours.append(luma_and_chroma(smooth.reshape(-1, 3)).reshape(-1, 3))
         clear.append(inside.ravel())
-        first[c], shape[c] = filled, (rows, columns)
-        focal[c], middle[c] = np.diag(camera.K)[:2], camera.K[:2, 2] - low
-        filled += rows * columns
+        first[c], shape[c] = filled, inside.shape
+        focal[c], middle[c] = np.diag(camera.K)[:2] / stride, (camera.K[:2, 2] - low) / stride
+        filled += inside.size
     return Crops(
         np.concatenate(colours),
         np.concatenate(clear),
@@ -138,6 +139,17 @@ def person_crops(
         focal,
         middle,
     )
+
+
+def _smoothed(picture: Image, std_px: float) -> tuple[Image, int]:
+    """A picture smoothed by a deviation, and every how many of its pixels are left: what is as smooth needs no more."""
+    stride = 1
+    while std_px >= _PYRAMID_STD_PX:
+        picture = cv2.pyrDown(picture)
+        std_px, stride = 0.5 * np.sqrt(std_px**2 - _PYRAMID_STD_PX**2), 2 * stride
+    if std_px >= _LEAST_STD_PX:
+        picture = cv2.GaussianBlur(picture, (0, 0), std_px)
+    return picture, stride
 
 
 def _near(points: Array, camera: Camera, window: tuple[slice, slice], reach_px: float) -> Mask:
