@@ -5,9 +5,9 @@
 Runs the pose stage of a preset on the first 80 frames of development sessions (with --test of held-out scenes and
 sessions instead), prints coverage per session and per kind of landmark, and error and jitter before and after
 smoothing. Writes eval/results/pose_coverage.csv and a reliability diagram, eval/results/pose_coverage.png. With --fit
-it prints the constants `UNCERTAINTY` of mocap/pose/method.py that hold 90 % of persons they were not fitted to, with
-`best` the share of deviations that is left where poses are settled on a texture, `DeviationSettings.settled`. Poses are
-kept in WORK/coverage; --again makes them anew.
+it prints the share of deviations that is left where poses are settled on a texture, `DeviationSettings.settled`; with
+`realtime`, which settles none, the constants `UNCERTAINTY` of mocap/pose/method.py that hold 90 % of persons they were
+not fitted to. Poses are kept in WORK/coverage; --again makes them anew.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SCENES = ("walk", "box", "gesture", "jog", "throw", "demo", "two_persons")
 DEV_SESSIONS = ("walk", "cross", "reach")
 TEST = ("walk_test", "gesture_test", "box_test", "sit_test")
 DEV_TEST = ("room", "furnished", "steps")  # nothing of the deviations is fitted on them
-PRESETS = ("default", "best")
+PRESETS = ("realtime", "default", "best")
 FIELDS = (
     "set",
     "preset",
@@ -348,7 +348,7 @@ def draw(groups: dict[str, list[Claims]]) -> None:
     left.plot([0, 100], [0, 100], color="0.7", lw=1)
     top = 1.0
     for (name, found), colour in zip(
-        groups.items(), ("#0072b2", "#d55e00", "#56b4e9", "#e69f00"), strict=False
+        groups.items(), ("#0072b2", "#d55e00", "#56b4e9", "#e69f00", "#009e73", "#cc79a7"), strict=False
     ):
         honest = reliability(
             *(np.concatenate([getattr(c, k) for c in found]) for k in ("estimate", "truth", "std"))
@@ -394,10 +394,11 @@ def main() -> None:
             sys.stdout.write(" ".join(f"{k}={row[k]}" for k in FIELDS[1:]) + "\n")
             sys.stdout.flush()
     sys.stdout.write("\n".join([*by_kind(found), *by_misfit(found)]) + "\n" + means(found) + "\n")
-    if arguments.preset == "best":
+    is_settled = arguments.preset != "realtime"
+    if is_settled:
         without = [settled_by(c, 1.0) for c in found]
-        sys.stdout.write(f"with deviations of default, {means(without)}\n")
-    if arguments.fit and arguments.preset == "best":
+        sys.stdout.write(f"with deviations of poses that are not settled, {means(without)}\n")
+    if arguments.fit and is_settled:
         share = fit_share(found)
         strangers = [settled_by(c, fit_share([o for o in found if o is not c])) for c in found]
         held = np.mean([row_of(c, "")["coverage_90_percent"] for c in strangers])

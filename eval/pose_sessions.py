@@ -162,8 +162,9 @@ raw and after one constant offset per landmark learnt on the first 10 frames (tu
   body. Published on HumanEva-I (CF Table 6.4): mean 121 mm, MMTP 90 mm, MMTA 71.4 %, at 0.15 frames/s.
 - `default`: a body with feet and hands, 3 layers of 120 particles on the fast likelihood, refined on the hull's
   surface and the outlines of the silhouettes, colours as evidence, limbs searched for in turn, height from poses,
-  smoothed over 8 frames.
-- `best`: the default, and all poses refined once more on the colours that places of the body have over the clip
+  every third pose refined once more on the colours that places of the body have over the clip
+  ([decision 82](decisions/0082-every-third-pose-settles-on-colours.md)), smoothed over 8 frames.
+- `best`: the default, searched in every frame, and all poses refined once more on these colours
   ([decision 71](decisions/0071-texture-over-a-clip.md)).
 - Scenes `*_final` were made after the settings of version 0.1.0 were chosen, `*_test` were held out from every choice
   of settings. Both have been looked at since, whenever this page was made: a loss of the legs in `walk_test` led to

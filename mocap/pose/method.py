@@ -415,7 +415,7 @@ class ContactSettings(_Strict):
 
 
 # Standard deviation, m, of a landmark of a pose that fits perfectly, and its growth per nat of its limb's misfit:
-# fitted on development scenes by `python -m eval.pose_coverage --fit`, and printed there.
+# fitted on development scenes by `python -m eval.pose_coverage --preset realtime --fit`, and printed there.
 UNCERTAINTY: Mapping[str, tuple[float, float]] = {
     "pelvis": (0.0047, 0.004),
     "neck": (0.0156, 0.009),
@@ -438,9 +438,9 @@ class DeviationSettings(_Strict):
 
     of_landmark: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(UNCERTAINTY))
     """Kind of landmark -> standard deviation where the pose fits perfectly, m, and its growth per nat of misfit."""
-    settled: float = 0.85
+    settled: float = 0.88
     """Share of its deviation that is left to a landmark of `settled_kinds` whose part was settled on the texture of a
-    clip (`pose.texture_weight`): `python -m eval.pose_coverage --preset best --fit`."""
+    clip (`pose.texture_weight`): `python -m eval.pose_coverage --fit`."""
     settled_kinds: tuple[str, ...] = ("elbow", "wrist", "knee", "ankle")
     """Texture tells where limbs lie; what is left at the trunk is where this person's joints lie in the flesh."""
     correlated: float = 2.5

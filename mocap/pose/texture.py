@@ -64,9 +64,10 @@ def settle_on_texture(clip: PersonClip, series: FrameSeries) -> None:
             series.log_likelihood[row] = fit.log_likelihood
             is_refined[row] = True
 
-    every = tools.settings.texture_every_frames
-    _in_halves(settle, np.unique([*range(0, len(series), every), len(series) - 1]), tools.n_threads)
-    for piece in unbroken(clip.frames):
+    every, pieces = tools.settings.texture_every_frames, unbroken(clip.frames)
+    rows = [np.unique([*range(piece.start, piece.stop, every), piece.stop - 1]) for piece in pieces]
+    _in_halves(settle, np.concatenate(rows), tools.n_threads)
+    for piece in pieces:
         own = series.rows(piece)  # views
         _carry_along(tools.body.layout, found[piece], own, np.flatnonzero(is_refined[piece]))
 

@@ -139,6 +139,17 @@ def test_poses_do_not_move_along_over_a_gap(scene: tuple[VolumeClip, np.ndarray]
     assert not series.settled[4].any()
 
 
+def test_both_ends_of_every_piece_are_refined(scene: tuple[VolumeClip, np.ndarray]) -> None:
+    clip, states = scene
+    frames = np.array([0, 1, 2, 3, 4, 7, 8])
+    assert DARK not in frames
+    away = every(replace(clip, frames=frames, xyz=clip.xyz[frames]), 3)
+    series = turned(away, states[frames])
+    settle_on_texture(away, series)
+    is_refined = series.fit_covariance.any(axis=(1, 2, 3))
+    np.testing.assert_array_equal(np.flatnonzero(is_refined), [0, 3, 4, 5, 6])
+
+
 @pytest.mark.skipif(not can_fork(), reason="needs a forked process")
 def test_two_processes_settle_what_one_does(scene: tuple[VolumeClip, np.ndarray]) -> None:
     clip, states = scene
