@@ -6,7 +6,7 @@ Three scenes with the same man, room and gestures: bare skin all over, a suit of
 arms; before all seven cameras, and before four that stand all round. Pose stage alone, on masks, volumes and tracks
 that are made once per scene. A row per scene, cameras, variant and seed;
 mean errors over 15 landmarks, mm, raw and in the other frames after one offset per landmark learnt on the first ten,
-and over elbows and wrists, raw. Variants: `none` knows outlines and hull alone, `default` how colours are spread over
+and over elbows and wrists, raw. Variants: `none` knows outlines and hull alone, `zones` how colours are spread over
 zones of the body, `best` the colours of places of its surface besides. Writes eval/results/inner_evidence.csv, whole,
 and prints the means.
 """
@@ -34,7 +34,11 @@ from mocap.pose.result import motion_of
 
 RESULTS = ROOT / "eval" / "results" / "inner_evidence.csv"
 SCENES = ("arms_bare", "arms_uniform", "arms_striped")
-VARIANTS = {"none": ("default", ("pose.colour_weight=0",)), "default": ("default", ()), "best": ("best", ())}
+VARIANTS = {
+    "none": ("default", ("pose.texture_weight=0", "pose.colour_weight=0")),
+    "zones": ("default", ("pose.texture_weight=0",)),
+    "best": ("best", ()),
+}
 SCORES = ("raw", "after_offset", "arms", "lost_wrist_percent")
 FIELDS = ("session", "cameras", "variant", "seed", *SCORES)
 FOUR = ("cam_0", "cam_2", "cam_4", "cam_5")

@@ -28,24 +28,30 @@ if TYPE_CHECKING:
 RESULTS = ROOT / "eval" / "results" / "pose_ablation.csv"
 PAGE = ROOT / "docs" / "results-notes.md"
 SESSIONS = ("dev:walk", "dev:cross", "dev:furnished", "dev:reach", "dev:room", "dev:steps")
+# With texture, and without it: what a part is worth to the poses that texture is learnt from.
+WITHOUT_TEXTURE = ("pose.texture_weight=0",)
 VARIANTS: dict[str, tuple[str, ...]] = {
     "default": (),
-    "no_refinement": ("pose.refine=false", "pose.look_again=false"),
-    "no_scouts_no_rescue": ("pose.look_again=false",),
-    "no_outlines": ("pose.outline_weight=0",),
-    "outlines_only": ("pose.surface_weight=0",),
-    "no_colours": ("pose.colour_weight=0",),
-    "no_texture": ("pose.texture_weight=0",),
     "texture_in_every_frame": ("pose.texture_every_frames=1",),
-    "no_repair": ("pose.repair=false",),
-    "no_smoothing": ("pose.smooth_lag_frames=0",),
-    "size_from_head": ("body.sizing=head",),
-    "no_feedback": ("pose.feedback_share=0",),
-    "no_usual_postures": ("pose.posture_nats=0",),
-    "no_feet_and_hands": ("body.model=girdle",),
-    "search_every_frame": ("pose.search_every_frames=1",),
-    "search_every_3": ("pose.search_every_frames=3",),
-    "search_every_5": ("pose.search_every_frames=5",),
+    "no_texture": WITHOUT_TEXTURE,
+} | {
+    f"no_texture_{name}": (*WITHOUT_TEXTURE, *settings)
+    for name, settings in {
+        "no_refinement": ("pose.refine=false", "pose.look_again=false"),
+        "no_scouts_no_rescue": ("pose.look_again=false",),
+        "no_outlines": ("pose.outline_weight=0",),
+        "outlines_only": ("pose.surface_weight=0",),
+        "no_colours": ("pose.colour_weight=0",),
+        "no_repair": ("pose.repair=false",),
+        "no_smoothing": ("pose.smooth_lag_frames=0",),
+        "size_from_head": ("body.sizing=head",),
+        "no_feedback": ("pose.feedback_share=0",),
+        "no_usual_postures": ("pose.posture_nats=0",),
+        "no_feet_and_hands": ("body.model=girdle",),
+        "search_every_frame": ("pose.search_every_frames=1",),
+        "search_every_3": ("pose.search_every_frames=3",),
+        "search_every_5": ("pose.search_every_frames=5",),
+    }.items()
 }
 SCORES = (
     "mean_error_mm",
@@ -144,8 +150,13 @@ def table(rows: list[dict[str, str]]) -> str:
         means = [statistics.fmean(float(r[score]) for r in own) for score in SCORES]
         reach = [float(done["dev:reach", variant, s]["mean_error_mm"]) for s in whole]
         numbers = " | ".join(f"{v:.1f}" for v in (*means, statistics.fmean(reach)))
-        lines.append(f"| {variant.replace('_', ' ')} | {numbers} |")
+        lines.append(f"| {_words(variant)} | {numbers} |")
     return "\n".join(lines)
+
+
+def _words(variant: str) -> str:
+    """What a variant is called in the table."""
+    return variant.replace("no_texture_", "no texture, ").replace("_", " ")
 
 
 def summary(rows: list[dict[str, str]]) -> str:

@@ -256,9 +256,13 @@ def test_what_is_not_known_does_not_pull(frames: list[Frame]) -> None:
 # What is kept of pictures.
 
 
-def one_camera(dist: tuple[float, ...] = (0.0,) * 5) -> Camera:
-    K = np.array([[200.0, 0, 159.5], [0, 200.0, 119.5], [0, 0, 1]])
-    return Camera("c", (320, 240), K, np.array(dist), np.eye(3), np.zeros(3))
+def one_camera(dist: tuple[float, ...] = (0.0,) * 5, zoom: int = 1) -> Camera:
+    """Pictures of 320 x 240 pixels, each of which `zoom` has as many more of either way."""
+    K = np.array([[200.0 * zoom, 0, 160.0 * zoom - 0.5], [0, 200.0 * zoom, 120.0 * zoom - 0.5], [0, 0, 1]])
+    return Camera("c", (320 * zoom, 240 * zoom), K, np.array(dist), np.eye(3), np.zeros(3))
+
+
+ZOOMS = {1: 1, 4: 2, 12: 8}  # and every how many pixels of a picture are left in a crop
 
 
 HULL = np.array([[x, y, 4.0] for x in (-0.3, 0.0, 0.3) for y in (-0.8, 0.0, 0.8)])
@@ -270,31 +274,34 @@ def crops_in(camera: Camera, picture: np.ndarray, **options: object) -> Crops:
     return person_crops([pinhole_view(camera)], [picture], HULL, others, **given)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("zoom", ZOOMS)
 @pytest.mark.parametrize("dist", [(0.0,) * 5, (-0.25, 0.08, 0.003, -0.002, 0.0)])
-def test_a_bright_spot_lies_in_the_crop_where_a_pinhole_sees_it(dist: tuple[float, ...]) -> None:
-    camera = one_camera(dist)
+def test_a_bright_spot_lies_in_the_crop_where_a_pinhole_sees_it(dist: tuple[float, ...], zoom: int) -> None:
+    camera = one_camera(dist, zoom)
     spot = np.array([0.31, -0.77, 4.1])
-    picture = np.zeros((240, 320, 3), dtype=np.uint8)
+    picture = np.zeros((240 * zoom, 320 * zoom, 3), dtype=np.uint8)
     u, v = camera.project(spot)[0]
-    cv2.circle(picture, (round(u), round(v)), 3, (255, 255, 255), -1)
+    cv2.circle(picture, (round(u), round(v)), 3 * zoom, (255, 255, 255), -1)
     crops = crops_in(camera, picture)
     luma = piece(crops, 0)[..., 0].astype(float)
     rows, columns = np.indices(luma.shape)
     middle = np.array([(columns * luma).sum(), (rows * luma).sum()]) / luma.sum()
-    np.testing.assert_allclose(middle, at_pixel(crops, 0, spot), atol=0.8)
+    np.testing.assert_allclose(middle, at_pixel(crops, 0, spot), atol=0.8 / ZOOMS[zoom])
     # The hull with 20 cm around it, 50 px per m.
-    assert tuple(crops.shape[0]) == pytest.approx((100, 50), abs=4)
+    expected = np.array([100, 50]) * zoom / ZOOMS[zoom]
+    np.testing.assert_allclose(crops.shape[0], expected, atol=4 * zoom / ZOOMS[zoom])
 
 
-def test_pictures_are_smoothed_by_as_much_as_is_set_at_the_person() -> None:
-    picture = np.zeros((240, 320, 3), dtype=np.uint8)
-    picture[:, 160:] = 200
-    luma = piece(crops_in(one_camera(), picture), 0)[..., 0].astype(float)
+@pytest.mark.parametrize("zoom", ZOOMS)
+def test_pictures_are_smoothed_by_as_much_as_is_set_at_the_person(zoom: int) -> None:
+    picture = np.zeros((240 * zoom, 320 * zoom, 3), dtype=np.uint8)
+    picture[:, 160 * zoom :] = 200
+    luma = piece(crops_in(one_camera(zoom=zoom), picture), 0)[..., 0].astype(float)
     rise = np.diff(luma[luma.shape[0] // 2])
     at = np.arange(len(rise))
     centre = (rise * at).sum() / rise.sum()
     std_px = np.sqrt((rise * (at - centre) ** 2).sum() / rise.sum())
-    assert std_px == pytest.approx(SETTINGS.blur_m * 200 / 4.0, rel=0.25)
+    assert std_px == pytest.approx(SETTINGS.blur_m * 200 / 4.0 * zoom / ZOOMS[zoom], rel=0.25)
 
 
 def test_where_others_or_furniture_may_be_nothing_is_clear() -> None:
