@@ -394,7 +394,7 @@ def main() -> None:
             sys.stdout.write(" ".join(f"{k}={row[k]}" for k in FIELDS[1:]) + "\n")
             sys.stdout.flush()
     sys.stdout.write("\n".join([*by_kind(found), *by_misfit(found)]) + "\n" + means(found) + "\n")
-    is_settled = arguments.preset != "realtime"
+    is_settled = any(c.settled.any() for c in found)
     if is_settled:
         without = [settled_by(c, 1.0) for c in found]
         sys.stdout.write(f"with deviations of poses that are not settled, {means(without)}\n")
