@@ -12,30 +12,41 @@ _MARGIN_PX = 24  # picture beyond what is uncertain that GrabCut learns the surr
 
 
 def refine_mask(
-    image: Image, allowed: Mask, likely: Mask, *, n_iterations: int = 3, reduction: int = 1
+    image: Image,
+    allowed: Mask,
+    likely: Mask,
+    sure: Mask | None = None,
+    *,
+    n_iterations: int = 3,
+    reduction: int = 1,
 ) -> Mask:
     """The person's outline in a picture, found by colours and edges from a guess.
 
     image : (H, W, 3) uint8 RGB.  allowed : (H, W) bool, outside is surely background: the reprojected hull of other
     cameras with a margin.  likely : (H, W) bool, the guess; what is allowed and not likely may still become person.
+    sure : (H, W) bool, what stays person whatever its colour, as far as it is allowed and likely; None = nothing.
     reduction : the picture is cut smaller by this factor, which takes a share 1 / reduction^2 of the time.
     Nothing likely, or nothing that is surely background: the guess comes back, as far as it is allowed.
     Raises ValueError for shapes that do not match. The result does not depend on earlier calls.
     """
-    _check_shapes(image, allowed=allowed, likely=likely)
+    known = {} if sure is None else {"sure": sure}
+    _check_shapes(image, allowed=allowed, likely=likely, **known)
     guess = allowed & likely
     x, y, w, h = cv2.boundingRect(allowed.astype(np.uint8))
     rows = slice(max(y - _MARGIN_PX, 0), y + h + _MARGIN_PX)
     columns = slice(max(x - _MARGIN_PX, 0), x + w + _MARGIN_PX)
     classes = np.where(allowed[rows, columns], cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
     classes[guess[rows, columns]] = cv2.GC_PR_FGD
+    if sure is not None:
+        classes[(guess & sure)[rows, columns]] = cv2.GC_FGD
     picture = np.ascontiguousarray(image[rows, columns])
     height, width = classes.shape
     if reduction > 1:
         size = (max(1, width // reduction), max(1, height // reduction))
         picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
         classes = cv2.resize(classes, size, interpolation=cv2.INTER_NEAREST)
-    if not (classes == cv2.GC_PR_FGD).any() or not (classes != cv2.GC_PR_FGD).any():
+    is_person = (classes == cv2.GC_FGD) | (classes == cv2.GC_PR_FGD)
+    if not is_person.any() or is_person.all():
         return guess
     cv2.setRNGSeed(0)  # GrabCut starts its colour models from a random clustering
     cv2.grabCut(

@@ -34,6 +34,7 @@ from mocap.volume import Floor, Witness, choose_grid
 _LEAST_FRAMES = 3
 _LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two cones cross in many places
 _VOXEL_M = 0.03
+_ROUNDS = 2  # what most cameras have found is in nearly all cuts after the first, and is held to in the second
 
 
 def learn_backgrounds(
@@ -108,8 +109,9 @@ def _of_recording(
         _check_frames(camera, session)
     keys: list[KeyPictures] = list(each(lambda camera: key_pictures(clip_of(session, camera)), rig))
     small = CameraRig(tuple(camera.reduced(reduction_of(camera.size[0])) for camera in rig))
-    witness = Witness(small, choose_grid(small, _VOXEL_M, bounds_m=session.room_bounds_m))
-    regions = witness.regions([key.is_active for key in keys])
+    grid = choose_grid(small, _VOXEL_M, bounds_m=session.room_bounds_m)
+    witness = Witness(small, grid, [key.is_active for key in keys])
+    regions = witness.regions()
     if not any(region.any() for region in regions):
         warnings.append(
             "nobody moves in this recording where enough cameras see him; whoever is in it is learnt as background. "
@@ -117,10 +119,12 @@ def _of_recording(
         )
     cuts: list[list[Mask]] = list(each(first_cuts, keys, regions))
     for k in range(len(cuts[0])):
-        guesses = witness.corrected([cut[k] for cut in cuts])
         pictures = [key.pictures[k] for key in keys]
-        for cut, again in zip(cuts, each(refine_mask, pictures, *zip(*guesses, strict=True)), strict=True):
-            cut[k] = again
+        for _ in range(_ROUNDS):
+            guesses = witness.corrected([cut[k] for cut in cuts])
+            again = each(refine_mask, pictures, *zip(*guesses, strict=True))
+            for cut, better in zip(cuts, again, strict=True):
+                cut[k] = better
     cuts = [without_things(cut, key.sway) for cut, key in zip(cuts, keys, strict=True)]
     free = _free_of_people(cuts, witness)
     floor = Floor(small, witness.grid, [key.pictures for key in keys], free)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -31,44 +32,67 @@ _HEAD_REACH_M = 0.25  # around the highest place of a person nothing else is a h
 _HEAD_SLACK_M = 0.15  # how far below the highest place its neighbours may belong to it
 _CUT_MARGIN_PX = 3  # a cut may be off by so much
 _CORE_PX = 7  # what lies further inside is likely
+_SURE_PX = 11  # and what lies still further inside of what nearly all cameras say is certain
+# Of the cameras, that may miss a part. Trousers as dark as the floor were in five cuts of eight, a striped shirt in
+# front of a wall of its colour in five of eight (docs/decisions/0083).
+_MINORITY = 0.375
+_FEW = 0.125  # that may miss what is certain: none of seven, one of eight
 _NECK_M = 0.05  # around the highest place a head begins
+
+
+class Guess(NamedTuple):
+    """What the others say about one picture, (H, W) bool each; see refine_mask."""
+
+    allowed: Mask
+    likely: Mask
+    sure: Mask
 
 
 class Witness:
     """The cameras of a rig on one grid, asked what the others let one camera see.
 
+    active : (H, W) bool per camera, where something was at some time, shadows included. Feet that stand still may be
+    missing.
     Not to be shared between threads.
     """
 
-    def __init__(self, rig: CameraRig, grid: VoxelGrid) -> None:
+    def __init__(self, rig: CameraRig, grid: VoxelGrid, active: Sequence[Mask]) -> None:
         self._rig, self.grid = rig, grid
         self._carver = Carver(rig, grid)
         self._tolerance = 1 if len(rig) >= 5 else 0  # cameras that may miss a part; four cannot afford it
-
-    def regions(self, active: Sequence[Mask]) -> list[Mask]:
-        """Where persons can be in each picture at any time, (H, W) bool per camera.
-
-        active : (H, W) bool per camera, where something was at some time, shadows included. Feet that stand still
-        may be missing.
-        """
         voxels = self._carver.carve(active, n_faulty_views=self._tolerance)
-        voxels = voxels[self.grid.centers(voxels)[:, 2] > _SHADOW_M]
-        return self._seen(self._to_the_floor(self._persons(voxels), _KNEE_M, _FOOT_REACH_M))
+        voxels = voxels[grid.centers(voxels)[:, 2] > _SHADOW_M]
+        self._ever = self._to_the_floor(self._persons(voxels), _KNEE_M, _FOOT_REACH_M)
 
-    def corrected(self, cuts: Sequence[Mask]) -> list[tuple[Mask, Mask]]:
-        """What is allowed and what is likely in each picture of one instant, (H, W) bool each; see refine_mask.
+    def regions(self) -> list[Mask]:
+        """Where persons can be in each picture at any time, (H, W) bool per camera."""
+        return self._seen(self._ever)
 
-        cuts : (H, W) bool per camera; some may be far too large, and one camera in three too small.
+    def corrected(self, cuts: Sequence[Mask]) -> list[Guess]:
+        """What is allowed, likely and sure in each picture of one instant.
+
+        cuts : (H, W) bool per camera; some may be far too large, and two cameras in five too small.
         """
         wide = self._persons(self._carver.carve(cuts, n_faulty_views=2 * self._tolerance))
-        tight = self._persons(self._carver.carve(cuts, n_faulty_views=self._tolerance))
-        possible = np.union1d(wide, self._whole(tight)).astype(np.int32)
+        most = self._where_somebody_was(cuts, max(self._tolerance, int(_MINORITY * len(self._rig))))
+        agreed = self._where_somebody_was(cuts, int(_FEW * len(self._rig)))
+        possible = np.union1d(wide, self._whole(most)).astype(np.int32)
         out = []
-        for may, must, cut in zip(self._seen(possible), self._seen(tight), cuts, strict=True):
+        for may, must, certain, cut in zip(
+            self._seen(possible), self._seen(most), self._seen(agreed), cuts, strict=True
+        ):
             allowed = cv2.dilate(may.astype(np.uint8), _disc(_CUT_MARGIN_PX)) > 0
-            core = cv2.erode(must.astype(np.uint8), _disc(_CORE_PX)) > 0
-            out.append((allowed, allowed & (cut | core)))
+            core, sure = (
+                cv2.erode(mask.astype(np.uint8), _disc(px)) > 0
+                for mask, px in ((must, _CORE_PX), (certain, _SURE_PX))
+            )
+            out.append(Guess(allowed, allowed & (cut | core), allowed & sure))
         return out
+
+    def _where_somebody_was(self, cuts: Sequence[Mask], n_faulty_views: int) -> Voxels:
+        """The persons of a hull of cuts, as far as somebody was there at some time."""
+        voxels = self._carver.carve(cuts, n_faulty_views=n_faulty_views)
+        return self._persons(np.intersect1d(voxels, self._ever, assume_unique=True).astype(np.int32))
 
     def columns(self, cuts: Sequence[Mask]) -> list[Mask]:
         """What stands straight under somebody's legs in the cuts of one instant, (H, W) bool per camera: he hides the

@@ -51,6 +51,20 @@ def test_a_guess_with_a_gap_is_completed_inside_what_is_allowed_only() -> None:
     assert not np.any(refined & ~allowed)
 
 
+def test_what_is_sure_stays_whatever_its_colour() -> None:
+    """Trousers of the floor's colour: colours and edges give them away, what others know does not."""
+    image, truth = scene(6)
+    alike = truth.copy()
+    alike[:54] = False
+    image[54:][alike[54:]] = image[:10].reshape(-1, 3)[: np.count_nonzero(alike)]
+    allowed, sure = grown(truth, 6), grown(truth, -5)
+    lost = refine_mask(image, allowed, truth)
+    kept = refine_mask(image, allowed, truth, sure)
+    assert not lost[alike & sure].any()
+    assert kept[sure].all()
+    assert not refine_mask(image, allowed & ~alike, truth, sure)[alike].any()
+
+
 def test_a_smaller_picture_gives_nearly_the_same() -> None:
     image, truth = scene(7)
     refined = refine_mask(image, grown(truth, 6), grown(truth, 3), reduction=2)
@@ -73,5 +87,7 @@ def test_shapes_are_checked() -> None:
         refine_mask(image, truth[:-1], truth)
     with pytest.raises(ValueError, match="likely"):
         refine_mask(image, truth, truth.astype(np.uint8))
+    with pytest.raises(ValueError, match="sure"):
+        refine_mask(image, truth, truth, truth[:, 1:])
     with pytest.raises(ValueError, match="image"):
         refine_mask(image[:, :, 0], truth, truth)

@@ -59,7 +59,7 @@ def floor_of(pictures: list[np.ndarray], free: list[np.ndarray]) -> Floor:
 
 @pytest.fixture(scope="module")
 def floor(cuts: list[np.ndarray]) -> Floor:
-    under = Witness(ring_rig(), ROOM).columns(cuts)
+    under = Witness(ring_rig(), ROOM, cuts).columns(cuts)
     return floor_of(
         [picture(i) for i in range(6)], [~(cut | own) for cut, own in zip(cuts, under, strict=True)]
     )
