@@ -24,7 +24,7 @@ def refine_mask(
 
     image : (H, W, 3) uint8 RGB.  allowed : (H, W) bool, outside is surely background: the reprojected hull of other
     cameras with a margin.  likely : (H, W) bool, the guess; what is allowed and not likely may still become person.
-    sure : (H, W) bool, what stays person whatever its colour, as far as it is allowed and likely; None = nothing.
+    sure : (H, W) bool, what stays person whatever its colour, as far as it is allowed; None = nothing.
     reduction : the picture is cut smaller by this factor, which takes a share 1 / reduction^2 of the time.
     Nothing likely, or nothing that is surely background: the guess comes back, as far as it is allowed.
     Raises ValueError for shapes that do not match. The result does not depend on earlier calls.
@@ -38,7 +38,7 @@ def refine_mask(
     classes = np.where(allowed[rows, columns], cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
     classes[guess[rows, columns]] = cv2.GC_PR_FGD
     if sure is not None:
-        classes[(guess & sure)[rows, columns]] = cv2.GC_FGD
+        classes[(allowed & sure)[rows, columns]] = cv2.GC_FGD
     picture = np.ascontiguousarray(image[rows, columns])
     height, width = classes.shape
     if reduction > 1:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from mocap.arrays import Mask
+from mocap.arrays import Image, Mask
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.foreground import (
@@ -29,12 +29,13 @@ from mocap.io.session import Session
 from mocap.io.session.reading import clip_of
 from mocap.pipeline.config import SegmentationConfig
 from mocap.pipeline.empty_clips import REMEDY, fit_of_clip, unlike_recording, words_of_fits
-from mocap.volume import Floor, Witness, choose_grid
+from mocap.volume import Floor, Guess, Witness, choose_grid
 
 _LEAST_FRAMES = 3
 _LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two cones cross in many places
 _VOXEL_M = 0.03
-_ROUNDS = 2  # what most cameras have found is in nearly all cuts after the first, and is held to in the second
+# What most cameras have found is in nearly all cuts after the first, and is held to in the second.
+_ROUNDS = 2
 
 
 def learn_backgrounds(
@@ -117,15 +118,7 @@ def _of_recording(
             "nobody moves in this recording where enough cameras see him; whoever is in it is learnt as background. "
             f"Remedy: {REMEDY}"
         )
-    cuts: list[list[Mask]] = list(each(first_cuts, keys, regions))
-    for k in range(len(cuts[0])):
-        pictures = [key.pictures[k] for key in keys]
-        for _ in range(_ROUNDS):
-            guesses = witness.corrected([cut[k] for cut in cuts])
-            again = each(refine_mask, pictures, *zip(*guesses, strict=True))
-            for cut, better in zip(cuts, again, strict=True):
-                cut[k] = better
-    cuts = [without_things(cut, key.sway) for cut, key in zip(cuts, keys, strict=True)]
+    cuts = _cuts_that_agree(keys, regions, witness, each)
     free = _free_of_people(cuts, witness)
     floor = Floor(small, witness.grid, [key.pictures for key in keys], free)
     wanted = [(c, camera) for c, camera in enumerate(rig) if camera.name in names]
@@ -135,6 +128,25 @@ def _of_recording(
         camera.name: with_floor(background, *floor.behind(c), regions[c] & ~np.any(free[c], axis=0))
         for (c, camera), background in zip(wanted, learnt, strict=True)
     }
+
+
+def _cuts_that_agree(
+    keys: Sequence[KeyPictures], regions: Sequence[Mask], witness: Witness, each: Callable[..., Iterable[Any]]
+) -> list[list[Mask]]:
+    """The persons in each key picture of each camera, once every camera has heard what the others see."""
+    cuts: list[list[Mask]] = list(each(first_cuts, keys, regions))
+    for k in range(len(cuts[0])):
+        pictures = [key.pictures[k] for key in keys]
+        for _ in range(_ROUNDS):
+            again = each(_cut_again, pictures, witness.corrected([cut[k] for cut in cuts]))
+            for cut, better in zip(cuts, again, strict=True):
+                cut[k] = better
+    return [without_things(cut, key.sway) for cut, key in zip(cuts, keys, strict=True)]
+
+
+def _cut_again(picture: Image, guess: Guess) -> Mask:
+    # More than one look at the colours takes twice the time, and cuts are no better (decision 83).
+    return refine_mask(picture, *guess, n_iterations=1)
 
 
 def _free_of_people(cuts: list[list[Mask]], witness: Witness) -> list[list[Mask]]:

@@ -21,7 +21,7 @@ from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_ce
 from mocap.volume.residuals import SilhouetteResiduals, silhouette_residuals
 from mocap.volume.second_look import SecondLook
 from mocap.volume.surface import surface_map, surface_voxels
-from mocap.volume.witness import Witness
+from mocap.volume.witness import Guess, Witness
 
 __all__ = [
     "CameraFault",
@@ -29,6 +29,7 @@ __all__ = [
     "CoarseVoxels",
     "ConsistencyMonitor",
     "Floor",
+    "Guess",
     "OccluderLearner",
     "SecondLook",
     "SilhouetteEvidence",

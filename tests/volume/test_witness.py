@@ -8,8 +8,7 @@ import pytest
 from test_occluders import on_floor, ring_rig, standing_silhouettes
 
 from mocap.data import VoxelGrid
-from mocap.volume import Witness
-from mocap.volume.witness import Guess
+from mocap.volume import Guess, Witness
 
 AT = np.array([0.1, -0.2])
 ROOM = VoxelGrid.from_bounds(np.array([-1.5, -1.5, 0.0]), np.array([1.5, 1.5, 2.0]), 0.04)
@@ -39,9 +38,7 @@ def lower_half(person: np.ndarray) -> np.ndarray:
 
 def test_regions_hold_the_person_and_not_his_shadow(silhouettes: list[np.ndarray]) -> None:
     shadow = [on_floor(i, AT + np.array([0.9, 0.6]), 0.3) for i in range(len(silhouettes))]
-    regions = Witness(
-        ring_rig(), ROOM, [s | d for s, d in zip(silhouettes, shadow, strict=True)]
-    ).regions()
+    regions = Witness(ring_rig(), ROOM, [s | d for s, d in zip(silhouettes, shadow, strict=True)]).regions()
     for region, person, dark in zip(regions, silhouettes, shadow, strict=True):
         assert region[person].all()
         assert not region[dark & ~grown(person, 2 * BESIDE_PX)].any()
@@ -78,7 +75,9 @@ def test_a_cut_that_is_off_is_put_right(witness: Witness, silhouettes: list[np.n
 def test_what_two_cuts_of_six_lack_is_likely(witness: Witness, silhouettes: list[np.ndarray]) -> None:
     """Legs as dark as the floor are missing in more than one picture."""
     lower = [lower_half(person) for person in silhouettes]
-    cuts = [p & ~dark if i in (1, 4) else p for i, (p, dark) in enumerate(zip(silhouettes, lower, strict=True))]
+    cuts = [
+        p & ~dark if i in (1, 4) else p for i, (p, dark) in enumerate(zip(silhouettes, lower, strict=True))
+    ]
     for guess, dark in zip(witness.corrected(cuts), lower, strict=True):
         assert guess.likely[dark].mean() > 0.2
 
