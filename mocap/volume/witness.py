@@ -74,8 +74,14 @@ class Witness:
         cuts : (H, W) bool per camera; some may be far too large, and two cameras in five too small.
         """
         wide = self._persons(self._carver.carve(cuts, n_faulty_views=2 * self._tolerance))
-        most = self._where_somebody_was(cuts, max(self._tolerance, int(_MINORITY * len(self._rig))))
-        agreed = self._where_somebody_was(cuts, int(_FEW * len(self._rig)))
+        n_cameras = len(self._rig)
+        minority = int(_MINORITY * n_cameras)
+        most = np.union1d(
+            self._where_somebody_was(cuts, self._tolerance),
+            # At the edge of the room, where few see him, as many votes are asked for: there are no three that may err.
+            self._where_somebody_was(cuts, minority, min_votes=n_cameras - minority),
+        ).astype(np.int32)
+        agreed = self._where_somebody_was(cuts, int(_FEW * n_cameras))
         possible = np.union1d(wide, self._whole(most)).astype(np.int32)
         out = []
         for may, must, certain, cut in zip(
@@ -89,9 +95,11 @@ class Witness:
             out.append(Guess(allowed, allowed & (cut | core), allowed & sure))
         return out
 
-    def _where_somebody_was(self, cuts: Sequence[Mask], n_faulty_views: int) -> Voxels:
-        """The persons of a hull of cuts, as far as somebody was there at some time."""
-        voxels = self._carver.carve(cuts, n_faulty_views=n_faulty_views)
+    def _where_somebody_was(
+        self, cuts: Sequence[Mask], n_faulty_views: int, min_votes: int | None = None
+    ) -> Voxels:
+        """The persons of a hull of cuts, as far as somebody was there at some time; see Carver.carve."""
+        voxels = self._carver.carve(cuts, n_faulty_views=n_faulty_views, min_votes=min_votes)
         return self._persons(np.intersect1d(voxels, self._ever, assume_unique=True).astype(np.int32))
 
     def columns(self, cuts: Sequence[Mask]) -> list[Mask]:

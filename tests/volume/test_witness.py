@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_occluders import on_floor, ring_rig, standing_silhouettes
 
-from mocap.data import VoxelGrid
+from mocap.data import Camera, CameraRig, VoxelGrid
 from mocap.volume import Guess, Witness
 
 AT = np.array([0.1, -0.2])
@@ -28,6 +28,12 @@ def witness(silhouettes: list[np.ndarray]) -> Witness:
 
 def grown(mask: np.ndarray, px: int) -> np.ndarray:
     return cv2.dilate(mask.astype(np.uint8), np.ones((2 * px + 1,) * 2, np.uint8)) > 0
+
+
+def facing_away(camera: Camera) -> Camera:
+    """The camera turned about its upward axis, so that it sees nothing of the room."""
+    turn = np.diag([-1.0, 1.0, -1.0])
+    return Camera(camera.name, camera.size, camera.K, camera.dist, turn @ camera.R, turn @ camera.t)
 
 
 def lower_half(person: np.ndarray) -> np.ndarray:
@@ -80,6 +86,19 @@ def test_what_two_cuts_of_six_lack_is_likely(witness: Witness, silhouettes: list
     ]
     for guess, dark in zip(witness.corrected(cuts), lower, strict=True):
         assert guess.likely[dark].mean() > 0.2
+
+
+def test_where_few_cameras_look_two_of_them_are_no_majority(silhouettes: list[np.ndarray]) -> None:
+    """Somebody stands where four of six see him; two of them alone have his legs."""
+    hidden = (2, 5)
+    rig = ring_rig()
+    place = VoxelGrid.from_bounds(np.array([-0.5, -0.8, 0.0]), np.array([0.7, 0.4, 2.0]), 0.04)
+    turned = CameraRig(tuple(facing_away(c) if i in hidden else c for i, c in enumerate(rig)))
+    seen = [p & (i not in hidden) for i, p in enumerate(silhouettes)]
+    cuts = [p & ~lower_half(p) if i in (0, 3) else p for i, p in enumerate(seen)]
+    for i, guess in enumerate(Witness(turned, place, seen).corrected(cuts)):
+        if i in (0, 3):
+            assert not guess.likely[lower_half(silhouettes[i]) & ~grown(cuts[i], 4)].any()
 
 
 def broad(i_missing: int | None = None) -> tuple[list[np.ndarray], list[Guess]]:
