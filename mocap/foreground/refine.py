@@ -29,33 +29,36 @@ def refine_mask(
     Nothing likely, or nothing that is surely background: the guess comes back, as far as it is allowed.
     Raises ValueError for shapes that do not match. The result does not depend on earlier calls.
     """
-    known = {} if sure is None else {"sure": sure}
-    _check_shapes(image, allowed=allowed, likely=likely, **known)
+    sure = np.zeros_like(allowed) if sure is None else sure
+    _check_shapes(image, allowed=allowed, likely=likely, sure=sure)
     guess = allowed & likely
     x, y, w, h = cv2.boundingRect(allowed.astype(np.uint8))
     rows = slice(max(y - _MARGIN_PX, 0), y + h + _MARGIN_PX)
     columns = slice(max(x - _MARGIN_PX, 0), x + w + _MARGIN_PX)
     classes = np.where(allowed[rows, columns], cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
     classes[guess[rows, columns]] = cv2.GC_PR_FGD
-    if sure is not None:
-        classes[(allowed & sure)[rows, columns]] = cv2.GC_FGD
+    classes[(allowed & sure)[rows, columns]] = cv2.GC_FGD
     picture = np.ascontiguousarray(image[rows, columns])
     height, width = classes.shape
     if reduction > 1:
         size = (max(1, width // reduction), max(1, height // reduction))
         picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
         classes = cv2.resize(classes, size, interpolation=cv2.INTER_NEAREST)
-    is_person = (classes == cv2.GC_FGD) | (classes == cv2.GC_PR_FGD)
+    is_person = _is_person(classes)
     if not is_person.any() or is_person.all():
         return guess
     cv2.setRNGSeed(0)  # GrabCut starts its colour models from a random clustering
     cv2.grabCut(
         picture, classes, None, np.zeros((1, 65)), np.zeros((1, 65)), n_iterations, cv2.GC_INIT_WITH_MASK
     )
-    found = ((classes == cv2.GC_FGD) | (classes == cv2.GC_PR_FGD)).astype(np.uint8)
+    found = _is_person(classes).astype(np.uint8)
     out = np.zeros(image.shape[:2], dtype=np.bool_)
     out[rows, columns] = cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST) > 0
     return out & allowed
+
+
+def _is_person(classes: NDArray[np.uint8]) -> Mask:
+    return (classes == cv2.GC_FGD) | (classes == cv2.GC_PR_FGD)
 
 
 def _check_shapes(image: Image, **masks: NDArray[np.bool_]) -> None:

@@ -34,8 +34,8 @@ from mocap.volume import Floor, Guess, Witness, choose_grid
 _LEAST_FRAMES = 3
 _LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two cones cross in many places
 _VOXEL_M = 0.03
-# What most cameras have found is in nearly all cuts after the first, and is held to in the second.
-_ROUNDS = 2
+# What most cameras have found is in nearly all cuts after the first pass, and is held to in the second.
+_N_PASSES = 2
 
 
 def learn_backgrounds(
@@ -137,7 +137,7 @@ def _cuts_that_agree(
     cuts: list[list[Mask]] = list(each(first_cuts, keys, regions))
     for k in range(len(cuts[0])):
         pictures = [key.pictures[k] for key in keys]
-        for _ in range(_ROUNDS):
+        for _ in range(_N_PASSES):
             again = each(_cut_again, pictures, witness.corrected([cut[k] for cut in cuts]))
             for cut, better in zip(cuts, again, strict=True):
                 cut[k] = better

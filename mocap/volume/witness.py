@@ -33,8 +33,8 @@ _HEAD_SLACK_M = 0.15  # how far below the highest place its neighbours may belon
 _CUT_MARGIN_PX = 3  # a cut may be off by so much
 _CORE_PX = 7  # what lies further inside is likely
 _SURE_PX = 11  # and what lies still further inside of what nearly all cameras say is certain
-# Of the cameras, that may miss a part. Trousers as dark as the floor were in five cuts of eight, a striped shirt in
-# front of a wall of its colour in five of eight (docs/decisions/0083).
+# Of the cameras, that may miss a part: trousers as dark as the floor were in five cuts of eight (decision 83,
+# `python -m eval.no_empty_clip`, scene in_place_alike).
 _MINORITY = 0.375
 _FEW = 0.125  # that may miss what is certain: none of seven, one of eight
 _NECK_M = 0.05  # around the highest place a head begins
@@ -71,7 +71,7 @@ class Witness:
     def corrected(self, cuts: Sequence[Mask]) -> list[Guess]:
         """What is allowed, likely and sure in each picture of one instant.
 
-        cuts : (H, W) bool per camera; some may be far too large, and two cameras in five too small.
+        cuts : (H, W) bool per camera; some may be far too large, and three cameras in eight too small.
         """
         wide = self._persons(self._carver.carve(cuts, n_faulty_views=2 * self._tolerance))
         n_cameras = len(self._rig)
@@ -88,11 +88,8 @@ class Witness:
             self._seen(possible), self._seen(most), self._seen(agreed), cuts, strict=True
         ):
             allowed = cv2.dilate(may.astype(np.uint8), _disc(_CUT_MARGIN_PX)) > 0
-            core, sure = (
-                cv2.erode(mask.astype(np.uint8), _disc(px)) > 0
-                for mask, px in ((must, _CORE_PX), (certain, _SURE_PX))
-            )
-            out.append(Guess(allowed, allowed & (cut | core), allowed & sure))
+            likely = cut | _inside(must, _CORE_PX)
+            out.append(Guess(allowed, allowed & likely, allowed & _inside(certain, _SURE_PX)))
         return out
 
     def _where_somebody_was(
@@ -148,6 +145,11 @@ class Witness:
         z = np.arange(n)
         full |= ((below > 0) & (z >= below - 3) & (z < below + _HEAD_M / side)).view(np.uint8)
         return np.flatnonzero(full.ravel()).astype(np.int32)
+
+
+def _inside(mask: Mask, px: int) -> Mask:
+    """The mask without a rim of so many pixels."""
+    return cv2.erode(mask.astype(np.uint8), _disc(px)) > 0
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:
