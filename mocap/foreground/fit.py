@@ -21,11 +21,14 @@ LEAST_PICTURES = 3  # fewer do not tell what stands still from who walks past
 _FAR = 20  # levels, after the light is divided out: something else is seen
 _LEAST_SHIFT_PX, _MOST_SHIFT_PX = 0.4, 12.0  # of 640; below it the tolerance at edges is enough
 _BETTER = 0.8  # times the difference that a shift must leave at most
-# Of another place: correlation of the fine structure, and share of the picture that differs in every picture. Clips of
-# their recording have 0.73 to 0.99, with somebody in them 0.59 to 0.99, those of another camera 0.07 at most, through a
-# lens of 3 % more focal length 0.24 to 0.65, of 5 % 0.47 at most (python -m eval.empty_clips).
-_LEAST_LIKENESS, _LEAST_DIFFERING = 0.6, 0.005
+# Of another place: likeness, and share of the picture that differs in every picture. The likeness is what correlations
+# of the fine structure stay below in six tenths of the cells of a grid: whoever stays in the recording covers fewer.
+# Clips of their recording have 0.98 or more, also with somebody in them, those of another camera 0.08 at most, through
+# a lens of 3 % more focal length 0.29 to 0.63, of 5 % 0.45 at most (python -m eval.empty_clips).
+_LEAST_LIKENESS, _LEAST_DIFFERING = 0.75, 0.005
+_CELLS, _OF_CELLS = (10, 8), 0.6
 _LEAST_TEXTURE = 1.5  # levels; rooms have 3 to 7. Bare walls are alike everywhere
+_LEAST_CELLS = 8  # with texture
 _STRONGER = (
     1.5  # edges round what stands in one of two pictures, over those of the other picture at the same place
 )
@@ -43,8 +46,8 @@ class Fit:
     background : shifted, and without what has gone.
     shift_px : (right, down) by which the clip was moved.  gone : (H, W) bool, where something stood in the clip that is
     not in the recording.  is_elsewhere : the clip shows another place, or the same through another lens; background is
-    then as it was.  likeness : correlation of its fine structure with that of the recording.  differing_share : of its
-    pixels, that differ from every picture.
+    then as it was.  likeness : of its fine structure to that of the recording, 1 = the same, 0 = nothing in common.
+    differing_share : of its pixels, that differ from every picture.
     """
 
     background: Background
@@ -117,12 +120,17 @@ def _grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _likeness(mean: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
-    """Correlation of the fine structures of two pictures (H, W, 3); 1 where one of them has hardly any."""
+    """How alike the fine structures of two pictures (H, W, 3) are where they have any, whoever stands in one of them: a
+    quantile of the correlations of their cells; 1 where hardly any has texture.
+    """
     a, b = (cv2.GaussianBlur(_grey(picture), (0, 0), 1.0) for picture in (mean, usual))
-    texture = min(float(np.sqrt(np.mean(image * image))) for image in (a, b))
-    if texture <= _LEAST_TEXTURE:
+    both, own, other = (
+        cv2.resize(product, _CELLS, interpolation=cv2.INTER_AREA) for product in (a * b, a * a, b * b)
+    )
+    textured = np.minimum(own, other) > _LEAST_TEXTURE**2
+    if np.count_nonzero(textured) < _LEAST_CELLS:
         return 1.0
-    return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
+    return float(np.quantile(both[textured] / np.sqrt(own[textured] * other[textured]), _OF_CELLS))
 
 
 def _shift(mean: NDArray[np.float32], usual: NDArray[np.float32]) -> tuple[float, float]:

@@ -46,6 +46,8 @@ _ADAPT_ROWS = 16  # one row in sixteen adapts per picture
 # Noise of the Sobel slope of a ratio, three standard deviations of its two components together, per standard
 # deviation and unit of brightness of the pixel.
 _EDGE_NOISE = 3 * 2**0.5 * 12**0.5 / 8 / 3**0.5
+# JPEG and MPEG code colour in blocks of 8 x 8 values at half the resolution, in pictures of any size.
+_COLOUR_BLOCK_PX = 16
 _TRAIN = 40  # synthetic empty pictures that train the OpenCV models
 _NOTHING = np.zeros((0, 0), dtype=np.uint8)
 
@@ -70,6 +72,9 @@ class ForegroundSettings:
     outline_share, outline_window_px : a pixel at the rim of the foreground stays only if its difference from the
         background is by this share above that of its surroundings and below that of the inside, both averaged
         over the window: blur and compression draw a halo round a person.
+    smeared_share : a pixel as bright as the background, within min_difference on the average of 3 x 3 pixels, differs
+        only when its colour does by this share of the largest difference in colour that may lie in the same block:
+        compression smears colours over the blocks of a picture.
     closing_px : gaps up to this width are closed where the picture differs from the background.
     closing_hint_px : gaps up to this width are closed, and holes filled, where it differs by half the threshold on
         the average of 5 x 5 pixels.
@@ -98,6 +103,7 @@ class ForegroundSettings:
     shadow_window_px: int = 5
     outline_share: float = 0.4
     outline_window_px: int = 7
+    smeared_share: float = 0.25
     closing_px: int = 5
     closing_hint_px: int = 5
     max_hole_px: float = 300.0
@@ -424,6 +430,7 @@ class Segmenter:
             rows, self._background, self._threshold, window.y0, window.x0, width, largest, candidate
         )
         _kernels.majority(candidate, solid)
+        self._take_out_smeared(rows, window, solid, largest)
         # The window averages noise, which small pictures have no less of.
         side = _odd(max(_scaled_px(s.shadow_window_px, self.shape), s.shadow_window_px))
         rule = _kernels.ShadowRule(
@@ -461,6 +468,28 @@ class Segmenter:
         y, x = window.y0 + rows_of.start, window.x0 + columns_of.start
         inner = _Window(y, y + found.shape[0], x, min(x + found.shape[1], self.shape[1]))
         return inner, found, _regions(found, _strong(far, s), 1)
+
+    def _take_out_smeared(self, rows: Bytes, window: _Window, candidate: Bytes, largest: Bytes) -> None:
+        """Takes colour that compression smears round a person out of the candidates of the window, in place; what is
+        left of `largest` there is the difference in brightness.
+        """
+        s = self.settings
+        x, y, w, h = cv2.boundingRect(candidate)
+        if not w:
+            return
+        here = (slice(window.y0 + y, window.y0 + y + h), slice(window.x0 + x, window.x0 + x + w))
+        picture, background = (
+            cv2.cvtColor(image.reshape(self.shape)[here], cv2.COLOR_RGB2YCrCb)
+            for image in (rows, self._background)
+        )
+        bright, red, blue = cv2.split(cv2.absdiff(picture, background))
+        brightness, colour = (cv2.blur(difference, (3, 3)) for difference in (bright, cv2.max(red, blue)))
+        around = cv2.dilate(colour, _square(2 * _COLOUR_BLOCK_PX - 1))
+        smeared = colour < cv2.convertScaleAbs(around, alpha=s.smeared_share)
+        smeared &= brightness < s.min_difference
+        inside = (slice(y, y + h), slice(x, x + w))
+        candidate[inside][smeared] = 0
+        np.copyto(largest[inside], bright, where=smeared)
 
     def _adapt(self, rows: Bytes, protect: Mask | None) -> None:
         s = self.settings

@@ -297,6 +297,55 @@ def test_nothing_is_foreground_outside_the_region_of_interest(method):
     assert np.count_nonzero(answer.mask & inside) > 0.8 * np.count_nonzero(inside)
 
 
+@pytest.mark.parametrize("quality", [30, 50])
+def test_colour_that_compression_smears_is_nobody(quality):
+    """A red person in pictures as cheap cameras store them; without the rule blocks of 16 x 16 pixels hang on him."""
+    rng = np.random.default_rng(17)
+    scene = np.full((H, W, 3), (140.0, 138.0, 134.0))
+    mask = person_at(55)
+
+    def stored(picture: np.ndarray) -> np.ndarray:
+        code = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        return cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+
+    background = learn_background(stored(photograph(scene, rng)) for _ in range(12))
+    dressed = np.where(mask[:, :, None], (200.0, 40.0, 50.0), scene)
+    picture = stored(photograph(dressed, rng))
+    found = Segmenter(background, SETTINGS).segment(picture).mask
+    far = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
+    assert np.count_nonzero(found & mask) > 0.97 * np.count_nonzero(mask)
+    assert np.count_nonzero(found & far) < 0.05 * np.count_nonzero(mask)
+    blunt = (
+        Segmenter(background, ForegroundSettings(min_area_px=600.0, smeared_share=0.0)).segment(picture).mask
+    )
+    assert np.count_nonzero(blunt & far) > 0.2 * np.count_nonzero(mask)
+
+
+@pytest.mark.parametrize(
+    ("colour", "beside_px", "is_found"),
+    [
+        ((100, 104, 124), 4, False),  # as bright as the room, and a tenth as blue as what is beside
+        ((100, 104, 124), 40, True),  # the same where nothing else is in the block
+        ((86, 92, 116), 4, True),  # eleven levels darker
+        ((92, 98, 174), 4, True),  # as blue as a third of it
+    ],
+)
+def test_faint_colour_counts_unless_a_strong_one_is_in_its_block(colour, beside_px, is_found):
+    scene = np.full((H, W, 3), 104, np.uint8)
+    background = Background(scene.astype(np.float32), np.full((H, W, 3), 1.0, np.float32), 9, "clip", 0.0)
+    picture = scene.copy()
+    picture[30:90, 20:40] = (64, 72, 255)  # 23 levels darker
+    faint = np.zeros((H, W), bool)
+    faint[40:80, 40 + beside_px : 60 + beside_px] = True
+    picture[faint] = colour
+    settings = ForegroundSettings(min_area_px=600.0, strong_difference=10.0, compensate_gain=False)
+    near = np.zeros((H, W), bool)
+    near[:, : 40 + 14] = True  # a whole block from the strong colour on
+    part = faint & (near if beside_px < 16 else True)
+    found = Segmenter(background, settings).segment(picture).mask
+    assert found[part].mean() == pytest.approx(1.0 if is_found else 0.0, abs=0.1)
+
+
 def test_an_answer_does_not_depend_on_other_persons_far_away():
     """Windows are looked at one by one: two persons together give the union of each alone."""
     rng = np.random.default_rng(16)
