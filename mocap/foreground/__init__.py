@@ -2,6 +2,7 @@
 
 from mocap.foreground.fit import Fit, fit_background, unfitted
 from mocap.foreground.model import (
+    COVERED_WORTH_A_WORD,
     EMPTY_REDUCTION,
     Background,
     empty_picture,
@@ -23,6 +24,7 @@ from mocap.foreground.refine import refine_mask
 from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segmenter, clean_mask
 
 __all__ = [
+    "COVERED_WORTH_A_WORD",
     "EMPTY_REDUCTION",
     "Background",
     "Fit",

@@ -18,7 +18,7 @@ _STILL_STD_FLOOR = 2.0  # a still says nothing about flicker
 _FAR = 20  # levels from the usual colour that count as "something else was here"
 _MOVED_IN_EMPTY = 0.02
 _MOVED_IN_MEDIAN = 0.01
-_COVERED_WORTH_A_WORD = 0.001  # of the picture
+COVERED_WORTH_A_WORD = 0.001  # of the picture
 EMPTY_REDUCTION = 2  # a pixel of 640 x 480 sees a centimetre of the floor, half of what is asked of it
 
 
@@ -44,8 +44,12 @@ class Background:
     @property
     def holds_somebody(self) -> bool:
         """Whether so much was never seen empty that the outlines of who stays there are guesses."""
-        covered = 0.0 if self.covered is None else float(self.covered.mean())
-        return covered + self.told_share > _COVERED_WORTH_A_WORD
+        return self.covered_share + self.told_share > COVERED_WORTH_A_WORD
+
+    @property
+    def covered_share(self) -> float:
+        """Share of the pixels that are covered."""
+        return 0.0 if self.covered is None else float(self.covered.mean())
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -56,11 +60,6 @@ class Background:
             return (
                 "hardly anything moves in this clip: a person who stays in place is learnt as background; "
                 "record an empty scene",
-            )
-        if self.covered is not None and float(self.covered.mean()) > _COVERED_WORTH_A_WORD:
-            return (
-                f"{self.covered.mean():.1%} of the picture is never seen empty: somebody stays there, and it counts as "
-                "a person in every frame",
             )
         return ()
 

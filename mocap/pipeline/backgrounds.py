@@ -12,6 +12,7 @@ from mocap.arrays import Image, Mask
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.foreground import (
+    COVERED_WORTH_A_WORD,
     Background,
     KeyPictures,
     background_of_recording,
@@ -67,6 +68,12 @@ def learn_backgrounds(
     for name, background in zip(session.rig.names, backgrounds, strict=True):
         if name not in fits or not fits[name].gone.any():  # what moves there has been named
             warnings += [f"camera {name}: {w}" for w in background.warnings]
+    shares = zip(session.rig.names, (background.covered_share for background in backgrounds), strict=True)
+    if covered := ", ".join(f"{name} {share:.1%}" for name, share in shares if share > COVERED_WORTH_A_WORD):
+        warnings.append(
+            f"a part of the picture is never seen empty ({covered}): somebody stays there, and it counts as a person "
+            "in every frame"
+        )
     if from_recording:
         warnings.append(
             f"the background of {', '.join(from_recording)} was learnt from the recording itself: what stands still "

@@ -15,6 +15,7 @@ from mocap.errors import MocapError
 from mocap.foreground import Background, Segmenter
 from mocap.io.session import Session, open_session
 from mocap.io.video import iter_clip
+from mocap.pipeline import backgrounds as learning
 from mocap.pipeline.backgrounds import learn_backgrounds
 from mocap.pipeline.config import SegmentationConfig
 from mocap.pipeline.people_check import check_people
@@ -49,6 +50,28 @@ def test_the_recording_is_its_own_background(root: Path) -> None:
     assert [b.kind for b in backgrounds] == ["recording"] * len(CAMERAS)
     assert any("learnt from the recording itself" in w for w in warnings)
     assert iou(session, backgrounds) > MIN_IOU
+
+
+def test_who_always_covers_a_place_is_said_once_for_all_cameras(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    covered = {camera: np.arange(1000) < n for camera, n in zip(CAMERAS, (0, 50, 1, 2), strict=True)}
+    found = {
+        camera: Background(
+            np.zeros((1, 1000, 3), np.float32),
+            np.ones((1, 1000, 3), np.float32),
+            9,
+            "recording",
+            0.0,
+            mask[None],
+        )
+        for camera, mask in covered.items()
+    }
+    monkeypatch.setattr(learning, "_of_recording", lambda *_: found)
+    warnings: list[str] = []
+    learn_backgrounds(open_session(root), CONFIG, warnings)
+    (said,) = [w for w in warnings if "never seen empty" in w]
+    assert f"({CAMERAS[1]} 5.0%, {CAMERAS[3]} 0.2%)" in said
 
 
 def test_cameras_with_a_clip_keep_it(root: Path, tmp_path: Path) -> None:
