@@ -148,7 +148,7 @@ def warnings_of_volumes(
     seldom = _seldom_observed(series.observed, series.log_likelihood)
     if seldom:
         warnings.append(
-            f"person {person}: {', '.join(seldom)} lie in the volume in less than half of the frames: it has holes "
+            f"person {person}: in less than half of the frames the volume holds {', '.join(seldom)}: it has holes "
             "there, or the pose is wrong. Remedy: look at the masks in the report; clothes or skin of the colour of "
             "the background leave holes"
         )

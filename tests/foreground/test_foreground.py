@@ -328,6 +328,8 @@ def test_colour_that_compression_smears_is_nobody(quality):
         ((100, 104, 124), 40, True),  # the same where nothing else is in the block
         ((86, 92, 116), 4, True),  # eleven levels darker
         ((92, 98, 174), 4, True),  # as blue as a third of it
+        ((104, 92, 165), 4, True),  # with no red more than the room
+        ((160, 76, 104), 4, True),  # with no blue more than the room
     ],
 )
 def test_faint_colour_counts_unless_a_strong_one_is_in_its_block(colour, beside_px, is_found):
@@ -344,6 +346,23 @@ def test_faint_colour_counts_unless_a_strong_one_is_in_its_block(colour, beside_
     part = faint & (near if beside_px < 16 else True)
     found = Segmenter(background, settings).segment(picture).mask
     assert found[part].mean() == pytest.approx(1.0 if is_found else 0.0, abs=0.1)
+
+
+@pytest.mark.parametrize("width", [6, 12])
+def test_smeared_colour_closes_no_gap_and_fills_no_hole(width):
+    """The view between an arm and the body, open or enclosed, tinted by both."""
+    scene = np.full((480, 640, 3), 104, np.uint8)
+    background = Background(scene.astype(np.float32), np.ones(scene.shape, np.float32), 9, "clip", 0.0)
+    picture = scene.copy()
+    picture[100:300, 200:300] = (64, 72, 255)
+    gap, hole = (slice(140, 300), slice(240, 240 + width)), (slice(180, 200), slice(260, 260 + width))
+    picture[gap] = picture[hole] = (100, 104, 124)
+    masks = [
+        Segmenter(background, ForegroundSettings(smeared_share=s)).segment(picture).mask for s in (0.0, 0.25)
+    ]
+    assert [mask[gap][20:-20].mean() for mask in masks] == [1.0, 0.0]
+    assert masks[0][hole].all()
+    assert masks[1][hole].mean() < 0.3
 
 
 def test_an_answer_does_not_depend_on_other_persons_far_away():
