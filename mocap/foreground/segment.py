@@ -31,6 +31,14 @@ _NOISIER = 1.25  # from which on the thresholds rise
 _NOISE_STEP = 0.1  # a smaller change of the noise leaves the thresholds
 _LEAST_SAMPLES = 100
 _BLOCK_PX = 5
+# Rounding puts colours off by half a step, those of the background as well: two steps of blue or red at most. What
+# this share of them says is chosen on six compressed sessions, see decision 86.
+_COARSE = 1.5  # grey levels per step of a chrominance
+_SMALL_STEPS = (
+    0.4  # of what lies between neighbouring blocks is a step, or less where it was compressed twice
+)
+_ROUNDED_SHARE = 0.01  # of the blocks beside each other that differ at least; fewer are the borders of things
+_COARSEST_STEP = 10  # of JPEG quality 10
 _COLOUR_EVERY = 64  # pictures; it takes as long as two of them
 # A lamp, flicker in bands and daylight change the light of a large part of the picture; a person does not.
 _LIGHT_CELL_PX = (80, 32)
@@ -360,7 +368,7 @@ class Segmenter:
         picture, background = picture[free], background[free]
         ratio = (picture * background).sum(axis=1) / ((background * background).sum(axis=1) + 1)
         residual = np.abs(picture - ratio[:, None] * background).max(axis=1)
-        return _THREE_SIGMA * _usual(residual)
+        return max(_THREE_SIGMA * _usual(residual), _COARSE * colour_step(rows.reshape(self.shape)))
 
     def _share_that_differs(self, picture: Image, step: int) -> float:
         """Share of the looked-at pixels, every `step`-th each way, that are not the background's."""
@@ -501,6 +509,29 @@ class Segmenter:
             self._n_seen % _ADAPT_ROWS, _ADAPT_ROWS, rate, patience,
         )  # fmt: skip
         self._n_seen += 1
+
+
+def colour_step(picture: Image) -> int:
+    """Levels between neighbouring chrominances of a picture (H, W, 3) uint8 RGB as compression has rounded them; 1 when
+    they are fine, or when the picture does not tell.
+
+    Rounding leaves whole blocks of one chrominance, and most that differ from those beside them do by one step.
+    """
+    side = _COLOUR_BLOCK_PX // 2  # of a picture at half its size, too
+    chroma = cv2.cvtColor(picture, cv2.COLOR_RGB2YCrCb)[:, :, 1:]
+    # Of every cell the inner part: decoders blur the borders of blocks.
+    lowest, highest = (
+        bound(chroma, _square(side // 2))[side // 2 :: side, side // 2 :: side]
+        for bound in (cv2.erode, cv2.dilate)
+    )
+    level = np.where(highest - lowest <= 1, highest, np.nan)
+    apart = np.abs(np.concatenate([np.diff(level, axis=axis).ravel() for axis in (0, 1)]))
+    n_even, apart = np.count_nonzero(apart >= 0), apart[apart > 0]
+    if len(apart) < max(_LEAST_SAMPLES, _ROUNDED_SHARE * n_even):
+        return 1
+    step = int(np.quantile(apart, _SMALL_STEPS))
+    is_one = np.count_nonzero(np.abs(apart - step) <= 1) >= 0.5 * len(apart)
+    return step if is_one and step <= _COARSEST_STEP else 1
 
 
 def _usual(values: NDArray[np.float32]) -> float:

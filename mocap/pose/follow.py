@@ -29,6 +29,7 @@ from mocap.pose.restart import FallenEvidence, restarted_pose
 from mocap.pose.start import (
     FirstPose,
     PoseSearch,
+    faces_other_way,
     heading_of,
     settle_first_poses,
     try_first_poses,
@@ -452,12 +453,15 @@ class OnePose:
             if self._has_returned
             else restarted_pose(search, now.state, self._loss.best_state, rng=rng)
         )
-        old_judged, new_judged = search.judge([now.state, new])
-        is_taken = self._loss.settle(self._row, old_judged, new_judged)
-        if not is_taken and not (self._has_returned and new_judged > old_judged):
+        both = np.stack([now.state, new])
+        value, restarted = evidence.evidence(both).tolist()
+        likelier = -float(np.diff(search.against_walking(both))[0])
+        is_turned = not self._has_returned and faces_other_way(self.tools.body, now.state, new)
+        is_taken = self._loss.settle(self._row, value, restarted, likelier=likelier, is_turned=is_turned)
+        if not is_taken and not (self._has_returned and restarted + likelier > value):
             return now
         self._particles = initial_particles(evidence.search, new, self._filter.n_particles)
-        return Candidate(new, value=float(evidence.evidence([new])[0]))
+        return Candidate(new, value=restarted)
 
     def remember(self, settled: Candidates) -> FramePose:
         """Feed the pose back into the particles and learn what it shows."""

@@ -245,6 +245,9 @@ class RestartSettings(_Strict):
     """Pause after a restart that helped."""
     longest_pause_frames: int = 32
     """A failed restart doubles the pause before the next."""
+    most_lead_nats: float = 100.0
+    """Most that earlier frames may say for the way a pose faces, where one that faces the other way was tried: so much
+    lies between the two in a clear frame. A second clear frame turns about who was followed the wrong way round."""
     facing_cosine: float = 0.5
     """A lost pose that faces further off the direction of walking is turned into it."""
     std_factor: float = 0.5

@@ -25,7 +25,8 @@ class FallenEvidence:
     """A pose is lost when its evidence has fallen far below what this person's poses usually reach, or when it faces
     against the way that the person goes.
 
-    best_state is the latest pose that was good; a failed restart doubles the pause before the next.
+    best_state is the latest pose that was good; a failed restart doubles the pause before the next. `_lead` is what
+    the pose has gained, nats, wherever one that faces the other way was tried.
     """
 
     settings: RestartSettings = field(default_factory=RestartSettings)
@@ -33,6 +34,7 @@ class FallenEvidence:
     _values: list[float] = field(default_factory=list)
     _next: int | None = None
     _pause: int = -1
+    _lead: float = 0.0
 
     def __post_init__(self) -> None:
         self._pause = self.settings.shortest_pause_frames
@@ -49,10 +51,21 @@ class FallenEvidence:
         waited = self._next is None or abs(row - self._next) >= self._pause
         return waited and (is_backwards or value < self.usual - self.settings.lost_nats)
 
-    def settle(self, row: int, value: float, restarted: float) -> bool:
-        """Whether a new pose is taken."""
+    def settle(
+        self, row: int, value: float, restarted: float, *, likelier: float = 0.0, is_turned: bool = False
+    ) -> bool:
+        """Whether a new pose is taken.
+
+        value, restarted : evidence of the pose and of the new one.  likelier : nats that the new one is worth more
+        beforehand.  is_turned : it faces the other way. Nobody turns about in a frame: what earlier frames said of the
+        two ways counts as well, and what is likely beforehand counts once.
+        """
         self._next = row
-        is_better = restarted > value + self.settings.margin_nats
+        gain = restarted - value
+        is_better = gain + likelier - (self._lead if is_turned else 0.0) > self.settings.margin_nats
+        if is_turned:
+            lead = min(max(self._lead - gain, 0.0), self.settings.most_lead_nats)
+            self._lead = 0.0 if is_better else lead
         longer = min(2 * self._pause, self.settings.longest_pause_frames)
         self._pause = self.settings.shortest_pause_frames if is_better else longer
         return is_better

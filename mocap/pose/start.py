@@ -65,8 +65,11 @@ class PoseSearch:
 
     def score(self, states: Array) -> Array:
         """Log-likelihood of states (N, D) with the prior on the direction, (N,)."""
-        value = self.evidence.log_likelihood(states)
-        return value - against_walking(self.body, states, self.heading, self.settings.method.start)
+        return self.evidence.log_likelihood(states) - self.against_walking(states)
+
+    def against_walking(self, states: Array) -> Array:
+        """What it costs states (N, D) to face against the direction of walking, (N,) nats."""
+        return against_walking(self.body, states, self.heading, self.settings.method.start)
 
     def judge(self, states: Sequence[Array]) -> Array:
         """The evidence of states with the prior on the direction, (K,) nats."""
@@ -185,10 +188,15 @@ def _facing(
     poses: Sequence[FirstPose], best: FirstPose, search: PoseSearch, *, ahead: bool
 ) -> list[FirstPose]:
     """The poses that face the same half of the room as the best one, or the other; none on a body without a yaw."""
-    yaw = search.body.yaw_column
-    if yaw is None:
+    if search.body.yaw_column is None:
         return []
-    return [f for f in poses if (np.cos(f.state[yaw] - best.state[yaw]) >= 0) == ahead]
+    return [f for f in poses if faces_other_way(search.body, f.state, best.state) != ahead]
+
+
+def faces_other_way(body: Body, state: Array, other: Array) -> bool:
+    """Whether two poses (D,) face opposite halves of the room; never on a body without a yaw."""
+    yaw = body.yaw_column
+    return yaw is not None and bool(np.cos(state[yaw] - other[yaw]) < 0.0)
 
 
 def walking_velocity(clip: PersonClip, i: int, settings: StartSettings) -> Array | None:

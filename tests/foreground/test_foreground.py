@@ -13,7 +13,9 @@ from mocap.foreground import (
     clean_mask,
     learn_background,
     median_background,
+    segment,
 )
+from mocap.foreground.segment import colour_step
 
 H, W = 120, 160
 NOISE = 1.5
@@ -43,6 +45,18 @@ def with_person(scene: np.ndarray, mask: np.ndarray, colour: tuple[float, float,
     out *= 1.0 - 0.25 * cv2.GaussianBlur(shadow, (0, 0), 2.0)[:, :, None] * ~mask[:, :, None]
     out[mask] = colour
     return out
+
+
+def stored(picture: np.ndarray, quality: int) -> np.ndarray:
+    """As JPEG leaves it."""
+    code = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+
+
+def floor(rng: np.random.Generator) -> np.ndarray:
+    """640 x 480 pixels whose colour changes little by little."""
+    coarse = 95.0 + rng.uniform(-15.0, 15.0, (4, 5, 1)) + rng.uniform(-9.0, 9.0, (4, 5, 3))
+    return cv2.resize(coarse, (640, 480), interpolation=cv2.INTER_CUBIC)
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:
@@ -304,13 +318,9 @@ def test_colour_that_compression_smears_is_nobody(quality):
     scene = np.full((H, W, 3), (140.0, 138.0, 134.0))
     mask = person_at(55)
 
-    def stored(picture: np.ndarray) -> np.ndarray:
-        code = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-        return cv2.cvtColor(cv2.imdecode(code, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
-
-    background = learn_background(stored(photograph(scene, rng)) for _ in range(12))
+    background = learn_background(stored(photograph(scene, rng), quality) for _ in range(12))
     dressed = np.where(mask[:, :, None], (200.0, 40.0, 50.0), scene)
-    picture = stored(photograph(dressed, rng))
+    picture = stored(photograph(dressed, rng), quality)
     found = Segmenter(background, SETTINGS).segment(picture).mask
     far = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
     assert np.count_nonzero(found & mask) > 0.97 * np.count_nonzero(mask)
@@ -319,6 +329,58 @@ def test_colour_that_compression_smears_is_nobody(quality):
         Segmenter(background, ForegroundSettings(min_area_px=600.0, smeared_share=0.0)).segment(picture).mask
     )
     assert np.count_nonzero(blunt & far) > 0.2 * np.count_nonzero(mask)
+
+
+@pytest.mark.parametrize(("quality", "step"), [(95, 1), (50, 2), (35, 3), (20, 5)])
+def test_the_step_in_which_compression_has_rounded_colours_is_read(quality, step):
+    rng = np.random.default_rng(18)
+    picture = stored(photograph(floor(rng), rng), quality)
+    assert colour_step(picture) == step
+    assert colour_step(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)) == step
+
+
+def flat(*stripes: tuple[int, int, int], width: int = 640) -> np.ndarray:
+    """Stripes of so many pixels side by side, over and over."""
+    columns = np.arange(640) // width % len(stripes)
+    return np.broadcast_to(np.array(stripes, np.uint8)[columns], (480, 640, 3)).copy()
+
+
+@pytest.mark.parametrize(
+    ("picture", "step"),
+    [
+        (flat((90, 90, 90)), 1),
+        (flat((90, 90, 90), (86, 90, 97), width=320), 1),  # one border of two things
+        (flat((90, 90, 90), (86, 90, 97), width=32), 3),
+        (flat((90, 90, 90), (60, 80, 140), width=32), 1),  # no compression is as coarse
+        (flat((90, 90, 90), (89, 90, 92), (80, 88, 106), (92, 88, 86), width=32), 1),  # no two alike
+        (np.random.default_rng(19).integers(0, 255, (480, 640, 3), dtype=np.uint8), 1),
+        (np.zeros((4, 4, 3), np.uint8), 1),
+    ],
+)
+def test_a_step_is_read_where_many_even_blocks_are_one_apart(picture, step):
+    assert colour_step(picture) == step
+
+
+@pytest.mark.parametrize("quality", [20, 35])
+def test_a_shadow_in_rounded_colours_is_nobody(monkeypatch, quality):
+    """A shadow on the floor takes colour with the light, and rounding gives each block more of it back, or less."""
+    rng = np.random.default_rng(20)
+    scene = floor(rng)
+    mask = np.zeros(scene.shape[:2], dtype=bool)
+    mask[100:380, 150:230] = True
+    dark = np.zeros_like(mask, dtype=np.float64)
+    dark[300:420, 260:520] = 0.25
+    dressed = scene * (1.0 - cv2.GaussianBlur(dark, (0, 0), 6.0))[:, :, None]
+    dressed[mask] = (50.0, 75.0, 130.0)
+    background = learn_background(stored(photograph(scene, rng), quality) for _ in range(12))
+    picture = stored(photograph(dressed, rng), quality)
+    found = Segmenter(background).segment(picture)
+    assert np.count_nonzero(found.mask & mask) > 0.97 * np.count_nonzero(mask)
+    assert np.count_nonzero(found.mask[:, 250:]) < 0.02 * np.count_nonzero(dark)
+    assert np.count_nonzero(found.shadow[:, 250:]) > 0.8 * np.count_nonzero(dark)
+    monkeypatch.setattr(segment, "_COARSE", 0.0)
+    blunt = Segmenter(background).segment(picture)
+    assert np.count_nonzero(blunt.mask[:, 250:]) > 0.1 * np.count_nonzero(dark)
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,11 @@ import pytest
 from flesh_voxels import Flesh
 
 from mocap.body import neutral_state
+from mocap.filters import ParticleState
 from mocap.forks import can_fork, shared_zeros
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
-from mocap.pose import person
+from mocap.pose import follow, person
 from mocap.pose.follow import Candidate, OnePose
 from mocap.pose.method import RestartSettings
 from mocap.pose.person import VolumeClip, choose_hypothesis
@@ -130,3 +131,55 @@ def test_who_goes_backwards_is_asked_less_and_less() -> None:
     assert not loss.settle(0, EVIDENCE, EVIDENCE + 0.9 * numbers.margin_nats)
     pause = 2 * numbers.shortest_pause_frames
     assert [loss.is_due(row, EVIDENCE, is_backwards=True) for row in (pause - 1, pause)] == [False, True]
+
+
+def test_what_earlier_frames_said_of_the_two_ways_counts() -> None:
+    numbers = RestartSettings()
+    clear, slight = numbers.most_lead_nats, 2 * numbers.margin_nats
+    loss = FallenEvidence(numbers)
+    assert not loss.settle(0, EVIDENCE, EVIDENCE - clear, likelier=16.0, is_turned=True)
+    assert not loss.settle(2, EVIDENCE, EVIDENCE + slight, likelier=16.0, is_turned=True)
+    assert loss.settle(4, EVIDENCE, EVIDENCE + slight, is_turned=False)  # a pose that faces as before
+    fresh = FallenEvidence(numbers)
+    assert fresh.settle(0, EVIDENCE, EVIDENCE - slight, likelier=16.0, is_turned=True)  # the way decides
+
+
+def test_who_was_followed_the_wrong_way_round_turns_in_the_second_clear_frame() -> None:
+    numbers = RestartSettings()
+    clear = numbers.most_lead_nats
+    loss = FallenEvidence(numbers)
+    for row in range(5):
+        assert not loss.settle(row, EVIDENCE, EVIDENCE - clear, is_turned=True)
+    taken = [loss.settle(row, EVIDENCE, EVIDENCE + clear, is_turned=True) for row in (5, 6)]
+    assert taken == [False, True]
+    # What was said of the other way is forgotten with the turn.
+    assert loss.settle(7, EVIDENCE, EVIDENCE + 2 * numbers.margin_nats, is_turned=True)
+
+
+@pytest.mark.parametrize(("gains", "turns"), [([50.0, 10.0], [False, False]), ([10.0], [True])])
+def test_a_turn_that_one_frame_allows_is_not_made_after_one_that_did_not(
+    coarse_flesh: Flesh, monkeypatch: pytest.MonkeyPatch, gains: list[float], turns: list[bool]
+) -> None:
+    """Somebody walks along +y backwards, and every frame likes that better, by so many nats."""
+    clip = clip_of(coarse_flesh, 1.2)
+    now, found = (facing(clip, yaw, 0.0).state for yaw in (-np.pi / 2, np.pi / 2))
+
+    class Seen:
+        tools, search = clip.observation.tools, None
+
+        def __init__(self, gain: float) -> None:
+            self.gain = gain
+
+        def evidence(self, states: np.ndarray) -> np.ndarray:
+            backwards = states[:, self.tools.body.yaw_column] < 0
+            return np.asarray(EVIDENCE + self.gain * backwards)
+
+    monkeypatch.setattr(follow, "restarted_pose", lambda *given, rng: found)
+    monkeypatch.setattr(follow, "initial_particles", lambda *given: ParticleState(now[None], np.ones(1)))
+    policy = OnePose(clip, 0, now)
+    taken = []
+    for row, gain in zip((20, 30), gains, strict=False):
+        policy.carry(row, Seen(gain))
+        (settled,) = policy.restart([Candidate(now, value=EVIDENCE + gain)], np.random.default_rng(0))
+        taken.append(settled.state is found)
+    assert taken == turns
