@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from eval.segmentation import ROOT, TEST, View, sessions, views
 from eval.whole import write_csv
-from mocap.foreground import ForegroundSettings, Segmenter
+from mocap.foreground import ForegroundSettings, Segmenter, learn_background
 from mocap.io.session import open_session
 from mocap.pipeline.stages.segment import second_look
 
@@ -66,19 +66,26 @@ def _noise(picture: Image, frame: int, n: int, rng: np.random.Generator) -> Imag
     return np.clip(np.round(picture + rng.normal(0, 8, picture.shape)), 0, 255).astype(np.uint8)
 
 
-def _compressed(picture: Image, frame: int, n: int, rng: np.random.Generator) -> Image:
-    data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 20])[1]
+def _compressed(picture: Image, quality: int) -> Image:
+    data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
-CONDITIONS: dict[str, Callable[[Image, int, int, np.random.Generator], Image]] = {
+Spoil = Callable[[Image, int, int, np.random.Generator], Image]
+
+CONDITIONS: dict[str, Spoil] = {
     "as recorded": lambda picture, frame, n, rng: picture,
     "exposure": lambda picture, frame, n, rng: _lit(picture, 1 + 0.25 * np.sin(2 * np.pi * frame / 45)),
     "white balance": _white_balance,
     "lamp": _lamp,
     "flicker": _flicker,
     "noise": _noise,
-    "compression": _compressed,
+    "compression": lambda picture, frame, n, rng: _compressed(picture, 20),
+}
+# Of the camera: the empty clip is like that, too.
+CAMERAS: dict[str, Spoil] = {
+    "overexposed": lambda picture, frame, n, rng: _lit(picture, 1.8),
+    "stored": lambda picture, frame, n, rng: _compressed(picture, 35),
 }
 
 
@@ -88,14 +95,20 @@ def evaluate(folder: Path, step: int) -> dict[str, dict[str, float]]:
     cameras = views(session, step)
     look = second_look(session)
     found: dict[str, dict[str, float]] = {}
-    for condition, spoil in CONDITIONS.items():
-        counts = {name: np.zeros(2) for name in (*METHODS, LOOK)}
-        segmenters = {
-            name: [Segmenter(view.backgrounds["ours"], settings) for view in cameras]
-            for name, settings in METHODS.items()
-        }
+    for condition, spoil in (CONDITIONS | CAMERAS).items():
         rng = np.random.default_rng(0)
         n = len(session.frames)
+        backgrounds = [
+            learn_background(spoil(picture, 0, n, rng) for picture in view.empty)
+            if condition in CAMERAS
+            else view.backgrounds["ours"]
+            for view in cameras
+        ]
+        counts = {name: np.zeros(2) for name in (*METHODS, LOOK)}
+        segmenters = {
+            name: [Segmenter(background, settings) for background in backgrounds]
+            for name, settings in METHODS.items()
+        }
         for i in range(min(len(view.truth) for view in cameras)):
             pictures = [spoil(view.images[i], i * step, n, rng) for view in cameras]
             for name, own in segmenters.items():

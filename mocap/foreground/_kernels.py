@@ -172,6 +172,7 @@ DOUBTFUL = np.uint8(2)  # foreground that has a shadow's own darkness and colour
 _LEVELS = 16  # fixed point of colour residuals: 1/16 grey level at best
 _RATIO = 1024  # fixed point of brightness ratios
 _SATURATED = 250  # grey level from which on a value may stand for a brighter one
+_MOST_LOST = 40  # grey levels by which a value that is full may stand for a brighter one
 _BLOCK = 32  # 16-bit numbers that one instruction handles at most
 _SPARE = 2 * _BLOCK
 _RATIO_BINS = 2048  # of the histogram over ratios 0 .. 2
@@ -420,6 +421,12 @@ class ShadowRule(NamedTuple):
     noise: float
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _beyond(residual, lost):
+    """What is left of a residual when the background may have been brighter than recorded, by `lost` at most."""
+    return residual - min(max(residual, np.float32(0.0)), lost)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def shadow_test(rows, background, place, candidate, rule, foreground, shadow):
     """Splits candidates by a ShadowRule: foreground = 1 or shadow = SHADOW; shadow = DOUBTFUL where (a) alone holds.
@@ -451,6 +458,7 @@ def shadow_test(rows, background, place, candidate, rule, foreground, shadow):
     level = np.empty((h, w), dtype=np.uint8)
     real = np.empty((6, w), dtype=np.float32)
     lowest, highest, limit = np.float32(darkest), np.float32(brightest), np.float32(chroma_pixel)
+    full, over = np.float32(_SATURATED), np.float32(_MOST_LOST)
     for row in range(h):
         # What the squares and slopes of the candidates near this row will ask for.
         begin, end = w, 0
@@ -466,10 +474,17 @@ def shadow_test(rows, background, place, candidate, rule, foreground, shadow):
             a0, b0 = np.float32(rows[source, j]), np.float32(background[source, j])
             a1, b1 = np.float32(rows[source, j + one]), np.float32(background[source, j + one])
             a2, b2 = np.float32(rows[source, j + two]), np.float32(background[source, j + two])
-            bb = b0 * b0 + b1 * b1 + b2 * b2 + np.float32(1.0)
-            r = (a0 * b0 + a1 * b1 + a2 * b2) / bb
-            real[0, i], real[1, i] = r, bb
-            real[2, i], real[3, i], real[4, i] = a0 - r * b0, a1 - r * b1, a2 - r * b2
+            # What light is left is told by the values that were recorded whole, if there are any.
+            w0, w1, w2 = np.float32(b0 < full), np.float32(b1 < full), np.float32(b2 < full)
+            none = np.float32(1.0) - max(max(w0, w1), w2)
+            w0, w1, w2 = w0 + none, w1 + none, w2 + none
+            told = w0 * b0 * b0 + w1 * b1 * b1 + w2 * b2 * b2 + np.float32(1.0)
+            r = (w0 * a0 * b0 + w1 * a1 * b1 + w2 * a2 * b2) / told
+            real[0, i], real[1, i] = r, b0 * b0 + b1 * b1 + b2 * b2 + np.float32(1.0)
+            beyond = r * over
+            real[2, i] = _beyond(a0 - r * b0, (np.float32(1.0) - w0) * beyond)
+            real[3, i] = _beyond(a1 - r * b1, (np.float32(1.0) - w1) * beyond)
+            real[4, i] = _beyond(a2 - r * b2, (np.float32(1.0) - w2) * beyond)
         for i in range(zero, n):
             own = max(max(abs(real[2, i]), abs(real[3, i])), abs(real[4, i]))
             r = real[0, i]

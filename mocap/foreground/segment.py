@@ -518,10 +518,10 @@ def colour_step(picture: Image) -> int:
     Rounding leaves whole blocks of one chrominance, and most that differ from those beside them do by one step.
     """
     side = _COLOUR_BLOCK_PX // 2  # of a picture at half its size, too
-    chroma = cv2.cvtColor(picture, cv2.COLOR_RGB2YCrCb)[:, :, 1:]
+    coded = cv2.cvtColor(picture, cv2.COLOR_RGB2YCrCb)
     # Of every cell the inner part: decoders blur the borders of blocks.
     lowest, highest = (
-        bound(chroma, _square(side // 2))[side // 2 :: side, side // 2 :: side]
+        bound(coded, _square(side // 2))[side // 2 :: side, side // 2 :: side, 1:]
         for bound in (cv2.erode, cv2.dilate)
     )
     level = np.where(highest - lowest <= 1, highest, np.nan)

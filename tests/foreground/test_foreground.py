@@ -383,6 +383,37 @@ def test_a_shadow_in_rounded_colours_is_nobody(monkeypatch, quality):
     assert np.count_nonzero(blunt.mask[:, 250:]) > 0.1 * np.count_nonzero(dark)
 
 
+@pytest.mark.parametrize("exposure", [1.5, 1.55])
+def test_a_shadow_on_an_overexposed_floor_is_nobody(exposure):
+    """Its red is full, so that a shadow takes green and blue alone; skin is as red as that, but not of its colour."""
+    rng = np.random.default_rng(21)
+    scene = floor(rng) + np.array([75.0, 40.0, 35.0])
+    mask = np.zeros(scene.shape[:2], dtype=bool)
+    mask[100:380, 150:230] = True
+    dark = np.zeros_like(mask, dtype=np.float64)
+    dark[300:420, 260:520] = 0.3
+    dressed = scene * (1.0 - cv2.GaussianBlur(dark, (0, 0), 6.0))[:, :, None]
+    dressed[mask] = (160.0, 110.0, 70.0)
+    background = learn_background(photograph(scene, rng, exposure) for _ in range(12))
+    assert np.mean(background.mean[..., 0] > 250) > 0.5
+    found = Segmenter(background).segment(photograph(dressed, rng, exposure))
+    assert np.count_nonzero(found.mask & mask) > 0.97 * np.count_nonzero(mask)
+    assert np.count_nonzero(found.mask[:, 250:]) < 0.02 * np.count_nonzero(dark)
+    assert np.count_nonzero(found.shadow[:, 250:]) > 0.8 * np.count_nonzero(dark)
+
+
+@pytest.mark.parametrize("wall", [(255, 252, 240), (255, 254, 253), (255, 255, 255)])
+@pytest.mark.parametrize("colour", [(205, 150, 140), (210, 175, 150), (170, 200, 190)])
+def test_skin_and_pale_clothes_before_an_overexposed_wall_are_no_shadow(wall, colour):
+    scene = np.full((H, W, 3), wall, np.uint8)
+    background = Background(scene.astype(np.float32), np.ones(scene.shape, np.float32), 9, "clip", 0.0)
+    mask = person_at(60)
+    picture = scene.copy()
+    picture[mask] = colour
+    found = Segmenter(background, SETTINGS).segment(picture)
+    assert np.count_nonzero(found.mask & mask) > 0.9 * np.count_nonzero(mask)
+
+
 @pytest.mark.parametrize(
     ("colour", "beside_px", "is_found"),
     [

@@ -14,16 +14,16 @@ H, W = 41, 56  # neither a multiple of the cell; W of 8
 MAX_ROUNDED = 0.004
 
 
-def pictures(seed: int) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
+def pictures(seed: int, exposure: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
     """A smooth background and a picture with noise, a shadow and an object."""
     rng = np.random.default_rng(seed)
-    coarse = rng.uniform(60.0, 200.0, (4, 5, 3))
-    background = cv2.resize(coarse, (W, H), interpolation=cv2.INTER_CUBIC).clip(0, 255)
+    coarse = exposure * rng.uniform(60.0, 200.0, (4, 5, 3))
+    background = cv2.resize(coarse, (W, H), interpolation=cv2.INTER_CUBIC)
     image = background.copy()
     image[8:34, 6:30] *= rng.uniform(0.6, 0.9)
     image[5:25, 24:44] = rng.uniform(0, 255, 3)
     image += rng.normal(0.0, 2.0, image.shape)
-    return image.clip(0, 255).astype(np.uint8), background.astype(np.uint8), rng
+    return image.clip(0, 255).astype(np.uint8), background.clip(0, 255).astype(np.uint8), rng
 
 
 def far(image: np.ndarray, background: np.ndarray) -> np.ndarray:
@@ -111,8 +111,9 @@ def box(plane: np.ndarray, half: int) -> np.ndarray:
 
 @pytest.mark.parametrize("half", [1, 2, 4])
 @pytest.mark.parametrize("seed", range(3))
-def test_shadow_test(seed: int, half: int) -> None:
-    image, background, _ = pictures(seed)
+@pytest.mark.parametrize("exposure", [1.0, 1.6])  # well, and over
+def test_shadow_test(exposure: float, seed: int, half: int) -> None:
+    image, background, _ = pictures(seed, exposure)
     candidate = (far(image, background) > 6).astype(np.uint8)
     darkest, brightest, chroma_pixel, chroma, least, edge, noise = 0.5, 1.03, 8.0, 0.03, 2.0, 0.07, 2.5
     foreground, shadow = np.zeros((H, W), np.uint8), np.zeros((H, W), np.uint8)
@@ -121,8 +122,12 @@ def test_shadow_test(seed: int, half: int) -> None:
     kernels.shadow_test(rows, back, (0, 0, W), candidate, rule, foreground, shadow)
     i, b = image.astype(float), background.astype(float)
     square = (b * b).sum(axis=2) + 1
-    ratio = (i * b).sum(axis=2) / square
+    whole = b < 250
+    assert whole.all(axis=2).all() == (exposure == 1.0)
+    whole |= ~whole.any(axis=2, keepdims=True)
+    ratio = (whole * i * b).sum(axis=2) / ((whole * b * b).sum(axis=2) + 1)
     residual = i - ratio[:, :, None] * b
+    residual -= np.clip(residual, 0, np.where(whole, 0, 40 * ratio[:, :, None]))
     level = np.sqrt(square / 3)
     may = (ratio > darkest) & (ratio < brightest) & (np.abs(residual).max(axis=2) < chroma_pixel)
     number = box(may, half)
