@@ -43,6 +43,11 @@ class WalkMotion(_PathMotion):
 
     kind: Literal["walk"]
     speed_m_s: float = Field(1.05, ge=0.5, le=1.8)
+    backwards: bool = False
+
+    def arguments(self) -> dict[str, Any]:
+        """Keywords of the motion's function."""
+        return {**super().arguments(), "backwards": self.backwards}
 
 
 class JogMotion(_PathMotion):

@@ -181,6 +181,19 @@ def test_walk_covers_the_ground_and_arms_oppose_legs(figure: Figure) -> None:
     assert np.rad2deg(knee.min()) < 15
 
 
+def test_a_walk_backwards_is_a_walk_played_from_its_end(figure: Figure) -> None:
+    path = Path((0.0, 0.0), (1.1, 1.0), 0.0, False)
+    ahead, back = (
+        walk(figure, 30, FPS, path=path, speed_m_s=1.0, backwards=backwards, rng=np.random.default_rng(1))
+        for backwards in (False, True)
+    )
+    np.testing.assert_array_equal(back.root_position, ahead.root_position[::-1])
+    np.testing.assert_array_equal(back.rotations, ahead.rotations[::-1])
+    np.testing.assert_array_equal(back.contact, ahead.contact[::-1])
+    way = np.diff(back.root_position[:, :2], axis=0)
+    assert (np.einsum("tc,tc->t", way, back.rotations[:-1, 0, :2, 0]) < 0).all()  # against where the pelvis faces
+
+
 def test_jogging_has_a_flight_in_free_fall(figure: Figure) -> None:
     fps = 400.0
     path = Path((0.0, 0.0), (0.0, 0.0), 0.0, False)

@@ -35,11 +35,14 @@ def walk(
     *,
     path: Path,
     speed_m_s: float,
+    backwards: bool = False,
     rng: np.random.Generator,
 ) -> Pose:
     """Normal walking along a path.
 
     speed_m_s : 0.5 .. 1.8. Stride length and cadence follow from speed and stature.
+    backwards : the walk is played from its end, which is nearly how people walk backwards.
+    Source: Thorstensson 1986 (backward walking).
     """
     H = figure.stature_m
     stride = 0.71 * H * (speed_m_s / 1.2) ** 0.5 * rng.uniform(0.96, 1.04)
@@ -104,7 +107,8 @@ def walk(
         abduction = np.deg2rad(8.0 + 3.0 * max(figure.build - 1.0, 0.0) * 10) + np.deg2rad(1.5) * np.cos(own)
         hang_arm(rotations, side, sign, flexion, abduction, np.deg2rad(12.0), elbow)
     solve_legs(figure, rotations, root, ankles, feet, toes)
-    return Pose(root[:n_wanted], rotations[:n_wanted], contact[:n_wanted])
+    order = slice(None, None, -1 if backwards else 1)
+    return Pose(*(moving[:n_wanted][order] for moving in (root, rotations, contact)))
 
 
 def _walking_feet(
