@@ -67,8 +67,8 @@ def _noise(picture: Image, frame: int, n: int, rng: np.random.Generator) -> Imag
 
 
 def _compressed(picture: Image, quality: int) -> Image:
-    data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8)
+    data = cv2.imencode(".jpg", picture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 
 Spoil = Callable[[Image, int, int, np.random.Generator], Image]

@@ -456,7 +456,7 @@ class OnePose:
         both = np.stack([now.state, new])
         value, restarted = evidence.evidence(both).tolist()
         likelier = -float(np.diff(search.against_walking(both))[0])
-        is_turned = not self._has_returned and faces_other_way(self.tools.body, now.state, new)
+        is_turned = faces_other_way(self.tools.body, now.state, new)
         is_taken = self._loss.settle(self._row, value, restarted, likelier=likelier, is_turned=is_turned)
         if not is_taken and not (self._has_returned and restarted + likelier > value):
             return now

@@ -345,6 +345,11 @@ def flat(*stripes: tuple[int, int, int], width: int = 640) -> np.ndarray:
     return np.broadcast_to(np.array(stripes, np.uint8)[columns], (480, 640, 3)).copy()
 
 
+def uneven(picture: np.ndarray) -> np.ndarray:
+    """With a red that rises by 3 levels from pixel to pixel, over 8 pixels again and again."""
+    return picture + np.array([1, 0, 0], np.uint8) * (np.arange(640) % 8 * 3).astype(np.uint8)[:, None]
+
+
 @pytest.mark.parametrize(
     ("picture", "step"),
     [
@@ -353,6 +358,7 @@ def flat(*stripes: tuple[int, int, int], width: int = 640) -> np.ndarray:
         (flat((90, 90, 90), (86, 90, 97), width=32), 3),
         (flat((90, 90, 90), (60, 80, 140), width=32), 1),  # no compression is as coarse
         (flat((90, 90, 90), (89, 90, 92), (80, 88, 106), (92, 88, 86), width=32), 1),  # no two alike
+        (uneven(flat((90, 90, 90), (86, 90, 97), width=32)), 1),
         (np.random.default_rng(19).integers(0, 255, (480, 640, 3), dtype=np.uint8), 1),
         (np.zeros((4, 4, 3), np.uint8), 1),
     ],
@@ -400,6 +406,29 @@ def test_a_shadow_on_an_overexposed_floor_is_nobody(exposure):
     assert np.count_nonzero(found.mask & mask) > 0.97 * np.count_nonzero(mask)
     assert np.count_nonzero(found.mask[:, 250:]) < 0.02 * np.count_nonzero(dark)
     assert np.count_nonzero(found.shadow[:, 250:]) > 0.8 * np.count_nonzero(dark)
+
+
+@pytest.mark.parametrize(
+    ("floor", "red"),
+    [((255, 255, 255), None), ((255, 190, 180), 255), ((255, 190, 180), 235), ((255, 190, 180), 201)],
+)
+def test_full_values_of_a_shadow_may_be_as_bright_as_recorded_and_some_more(floor, red):
+    """A light of four fifths is left; red would be 204 by what was recorded."""
+    scene = np.full((H, W, 3), floor, np.uint8)
+    background = Background(scene.astype(np.float32), np.ones(scene.shape, np.float32), 9, "clip", 0.0)
+    light = np.full((H, W), 1.0)
+    light[30:90, 40:120] = 0.8
+    light = cv2.GaussianBlur(light, (0, 0), 4.0)[:, :, None]
+    picture = scene * light
+    if red is not None:
+        picture[..., 0] = 255 - (255 - red) * (1.0 - light[..., 0]) / 0.2
+    answer = Segmenter(background, ForegroundSettings(compensate_gain=False)).segment(
+        picture.round().astype(np.uint8)
+    )
+    is_shadow = red is None or red < 240
+    inner = (slice(45, 75), slice(55, 105))
+    assert answer.shadow[inner].mean() == pytest.approx(1.0 if is_shadow else 0.0, abs=0.05)
+    assert answer.mask[inner].mean() == pytest.approx(0.0 if is_shadow else 1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("wall", [(255, 252, 240), (255, 254, 253), (255, 255, 255)])

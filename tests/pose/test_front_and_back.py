@@ -19,6 +19,7 @@ from mocap.forks import can_fork, shared_zeros
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose import follow, person
+from mocap.pose.evidence import PersonTools
 from mocap.pose.follow import Candidate, OnePose
 from mocap.pose.method import RestartSettings
 from mocap.pose.person import VolumeClip, choose_hypothesis
@@ -142,6 +143,18 @@ def test_what_earlier_frames_said_of_the_two_ways_counts() -> None:
     assert loss.settle(4, EVIDENCE, EVIDENCE + slight, is_turned=False)  # a pose that faces as before
     fresh = FallenEvidence(numbers)
     assert fresh.settle(0, EVIDENCE, EVIDENCE - slight, likelier=16.0, is_turned=True)  # the way decides
+    # What the pose before it had gained is not held against who turns back.
+    assert fresh.settle(2, EVIDENCE, EVIDENCE + 1.5 * numbers.margin_nats, is_turned=True)
+
+
+def test_the_way_counts_once() -> None:
+    """Who is followed against it leads by what the evidence says alone."""
+    loss = FallenEvidence(RestartSettings())
+    taken = [
+        loss.settle(row, EVIDENCE, EVIDENCE - lost, likelier=16.0, is_turned=True)
+        for row, lost in ((0, 14), (2, 5))
+    ]
+    assert taken == [False, False]
 
 
 def test_who_was_followed_the_wrong_way_round_turns_in_the_second_clear_frame() -> None:
@@ -156,30 +169,52 @@ def test_who_was_followed_the_wrong_way_round_turns_in_the_second_clear_frame() 
     assert loss.settle(7, EVIDENCE, EVIDENCE + 2 * numbers.margin_nats, is_turned=True)
 
 
-@pytest.mark.parametrize(("gains", "turns"), [([50.0, 10.0], [False, False]), ([10.0], [True])])
+class Seen:
+    """A frame that likes somebody who walks backwards better, by so many nats."""
+
+    search = None
+
+    def __init__(self, tools: PersonTools, gain: float) -> None:
+        self.tools, self.gain = tools, gain
+
+    def evidence(self, states: np.ndarray) -> np.ndarray:
+        backwards = states[:, self.tools.body.yaw_column] < 0
+        return np.asarray(EVIDENCE + self.gain * backwards)
+
+
+@pytest.mark.parametrize(
+    ("gains", "has_returned", "turns"),
+    [
+        ([50.0, 10.0], False, [False, False]),
+        ([10.0], False, [True]),
+        ([14.0], False, [False]),
+        ([14.0], True, [True]),  # who was away may face any way
+        ([50.0, 14.0], True, [False, True]),
+    ],
+)
 def test_a_turn_that_one_frame_allows_is_not_made_after_one_that_did_not(
-    coarse_flesh: Flesh, monkeypatch: pytest.MonkeyPatch, gains: list[float], turns: list[bool]
+    coarse_flesh: Flesh,
+    monkeypatch: pytest.MonkeyPatch,
+    gains: list[float],
+    has_returned: bool,
+    turns: list[bool],
 ) -> None:
-    """Somebody walks along +y backwards, and every frame likes that better, by so many nats."""
+    """Somebody walks along +y backwards."""
     clip = clip_of(coarse_flesh, 1.2)
-    now, found = (facing(clip, yaw, 0.0).state for yaw in (-np.pi / 2, np.pi / 2))
-
-    class Seen:
-        tools, search = clip.observation.tools, None
-
-        def __init__(self, gain: float) -> None:
-            self.gain = gain
-
-        def evidence(self, states: np.ndarray) -> np.ndarray:
-            backwards = states[:, self.tools.body.yaw_column] < 0
-            return np.asarray(EVIDENCE + self.gain * backwards)
-
-    monkeypatch.setattr(follow, "restarted_pose", lambda *given, rng: found)
-    monkeypatch.setattr(follow, "initial_particles", lambda *given: ParticleState(now[None], np.ones(1)))
-    policy = OnePose(clip, 0, now)
+    now, found = (facing(clip, yaw, 0.0) for yaw in (-np.pi / 2, np.pi / 2))
+    monkeypatch.setattr(follow, "restarted_pose", lambda *given, rng: found.state)
+    monkeypatch.setattr(follow, "try_first_poses", lambda search, rng: [now])
+    monkeypatch.setattr(follow, "settle_first_poses", lambda search, tried, rng: [found, *tried])
+    monkeypatch.setattr(
+        follow, "initial_particles", lambda *given: ParticleState(now.state[None], np.ones(1))
+    )
+    policy = OnePose(clip, 0, now.state)
     taken = []
     for row, gain in zip((20, 30), gains, strict=False):
-        policy.carry(row, Seen(gain))
-        (settled,) = policy.restart([Candidate(now, value=EVIDENCE + gain)], np.random.default_rng(0))
-        taken.append(settled.state is found)
+        policy.carry(row, Seen(clip.observation.tools, gain))
+        policy._has_returned = has_returned
+        value = EVIDENCE + gain
+        (settled,) = policy.restart([Candidate(now.state, value=value)], np.random.default_rng(0))
+        taken.append(settled.state is found.state)
+        assert settled.value == (EVIDENCE if taken[-1] else value)
     assert taken == turns

@@ -191,7 +191,9 @@ def test_a_walk_backwards_is_a_walk_played_from_its_end(figure: Figure) -> None:
     np.testing.assert_array_equal(back.rotations, ahead.rotations[::-1])
     np.testing.assert_array_equal(back.contact, ahead.contact[::-1])
     way = np.diff(back.root_position[:, :2], axis=0)
-    assert (np.einsum("tc,tc->t", way, back.rotations[:-1, 0, :2, 0]) < 0).all()  # against where the pelvis faces
+    assert (
+        np.einsum("tc,tc->t", way, back.rotations[:-1, 0, :2, 0]) < 0
+    ).all()  # against where the pelvis faces
 
 
 def test_jogging_has_a_flight_in_free_fall(figure: Figure) -> None:
