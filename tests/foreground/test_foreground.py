@@ -346,8 +346,8 @@ def flat(*stripes: tuple[int, int, int], width: int = 640) -> np.ndarray:
 
 
 def uneven(picture: np.ndarray) -> np.ndarray:
-    """With a red that rises by 3 levels from pixel to pixel, over 8 pixels again and again."""
-    return picture + np.array([1, 0, 0], np.uint8) * (np.arange(640) % 8 * 3).astype(np.uint8)[:, None]
+    """With red and blue that rise by 3 levels from pixel to pixel, over 8 pixels again and again."""
+    return picture + np.array([1, 0, 1], np.uint8) * (np.arange(640) % 8 * 3).astype(np.uint8)[:, None]
 
 
 @pytest.mark.parametrize(
