@@ -258,7 +258,7 @@ class Segmenter:
         rows = np.require(image, requirements=("C", "W")).reshape(self.shape[0], -1)
         if self.settings.compensate_gain:
             rows = self._without_gain(rows)
-            self._follow_noise(rows)
+            self._follow_noise(rows, image)
         dark = np.zeros(self.shape[:2], dtype=np.uint8)
         windows = self._windows(rows)
         mask = self._joined([self._split(rows, window, dark) for window in windows])
@@ -339,8 +339,11 @@ class Segmenter:
         for window in self._touched:
             self._near[window.slices] = self._outside[window.slices]
 
-    def _follow_noise(self, rows: Bytes) -> None:
-        """Raise the thresholds where the picture is noisier than the background was: more gain, more compression."""
+    def _follow_noise(self, rows: Bytes, image: Image) -> None:
+        """Raise the thresholds where the picture is noisier than the background was: more gain, more compression.
+
+        image : as it was stored, with the steps of its colours.
+        """
         step = max(1, _scaled_px(_GAIN_STEP, self.shape))
         height, width = self.shape[:2]
         ratios = np.empty(-(-height // step) * -(-width // step), dtype=np.float32)
@@ -352,7 +355,7 @@ class Segmenter:
         if abs(times - self._times_noise) > _NOISE_STEP * self._times_noise:
             self._set_noise(times)
         if self._n_seen % _COLOUR_EVERY == 0:
-            self._colour_noise = self._colour_noise_of(rows)
+            self._colour_noise = max(self._colour_noise_of(rows), _COARSE * colour_step(image))
 
     def _colour_noise_of(self, rows: Bytes) -> float:
         """Three standard deviations of the colour, grey levels, averaged over blocks as compression leaves them."""
@@ -368,7 +371,7 @@ class Segmenter:
         picture, background = picture[free], background[free]
         ratio = (picture * background).sum(axis=1) / ((background * background).sum(axis=1) + 1)
         residual = np.abs(picture - ratio[:, None] * background).max(axis=1)
-        return max(_THREE_SIGMA * _usual(residual), _COARSE * colour_step(rows.reshape(self.shape)))
+        return _THREE_SIGMA * _usual(residual)
 
     def _share_that_differs(self, picture: Image, step: int) -> float:
         """Share of the looked-at pixels, every `step`-th each way, that are not the background's."""

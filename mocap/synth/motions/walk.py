@@ -108,7 +108,7 @@ def walk(
         hang_arm(rotations, side, sign, flexion, abduction, np.deg2rad(12.0), elbow)
     solve_legs(figure, rotations, root, ankles, feet, toes)
     order = slice(None, None, -1 if backwards else 1)
-    return Pose(*(moving[:n_wanted][order] for moving in (root, rotations, contact)))
+    return Pose(root[:n_wanted][order], rotations[:n_wanted][order], contact[:n_wanted][order])
 
 
 def _walking_feet(
