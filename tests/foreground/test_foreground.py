@@ -8,6 +8,7 @@ import pytest
 
 from mocap.foreground import (
     Background,
+    ForegroundMask,
     ForegroundSettings,
     Segmenter,
     clean_mask,
@@ -57,6 +58,24 @@ def floor(rng: np.random.Generator) -> np.ndarray:
     """640 x 480 pixels whose colour changes little by little."""
     coarse = 95.0 + rng.uniform(-15.0, 15.0, (4, 5, 1)) + rng.uniform(-9.0, 9.0, (4, 5, 3))
     return cv2.resize(coarse, (640, 480), interpolation=cv2.INTER_CUBIC)
+
+
+def with_person_on_floor(
+    scene: np.ndarray, colour: tuple[float, float, float], depth: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The scene with a person and a soft shadow beside him that takes a share of the light; both as masks."""
+    mask, dark = np.zeros((2, *scene.shape[:2]), dtype=bool)
+    mask[100:380, 150:230] = True
+    dark[300:420, 260:520] = True
+    out = scene * (1.0 - cv2.GaussianBlur(depth * dark, (0, 0), 6.0))[:, :, None]
+    out[mask] = colour
+    return out, mask, dark
+
+
+def check_person_and_shadow(found: ForegroundMask, mask: np.ndarray, dark: np.ndarray) -> None:
+    assert np.count_nonzero(found.mask & mask) > 0.97 * np.count_nonzero(mask)
+    assert np.count_nonzero(found.mask[:, 250:]) < 0.02 * np.count_nonzero(dark)  # beyond his halo
+    assert np.count_nonzero(found.shadow & dark) > 0.8 * np.count_nonzero(dark)
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:
@@ -373,21 +392,14 @@ def test_a_shadow_in_rounded_colours_is_nobody(monkeypatch, quality, gain):
     """A shadow on the floor takes colour with the light, and rounding gives each block more of it back, or less."""
     rng = np.random.default_rng(20)
     scene = floor(rng)
-    mask = np.zeros(scene.shape[:2], dtype=bool)
-    mask[100:380, 150:230] = True
-    dark = np.zeros_like(mask, dtype=np.float64)
-    dark[300:420, 260:520] = 0.25
-    dressed = scene * (1.0 - cv2.GaussianBlur(dark, (0, 0), 6.0))[:, :, None]
-    dressed[mask] = (50.0, 75.0, 130.0)
+    dressed, mask, dark = with_person_on_floor(scene, (50.0, 75.0, 130.0), 0.25)
     background = learn_background(stored(photograph(scene, rng), quality) for _ in range(12))
     picture = stored(photograph(dressed, rng, gain), quality)
     found = Segmenter(background).segment(picture)
-    assert np.count_nonzero(found.mask & mask) > 0.97 * np.count_nonzero(mask)
-    assert np.count_nonzero(found.mask[:, 250:]) < 0.02 * np.count_nonzero(dark)
-    assert np.count_nonzero(found.shadow[:, 250:]) > 0.8 * np.count_nonzero(dark)
+    check_person_and_shadow(found, mask, dark)
     monkeypatch.setattr(segment, "_COARSE", 0.0)
     blunt = Segmenter(background).segment(picture)
-    assert np.count_nonzero(blunt.mask[:, 250:]) > 0.1 * np.count_nonzero(dark)
+    assert np.count_nonzero(blunt.mask & dark) > 0.1 * np.count_nonzero(dark)
 
 
 @pytest.mark.parametrize("exposure", [1.5, 1.55])
@@ -395,18 +407,10 @@ def test_a_shadow_on_an_overexposed_floor_is_nobody(exposure):
     """Its red is full, so that a shadow takes green and blue alone; skin is as red as that, but not of its colour."""
     rng = np.random.default_rng(21)
     scene = floor(rng) + np.array([75.0, 40.0, 35.0])
-    mask = np.zeros(scene.shape[:2], dtype=bool)
-    mask[100:380, 150:230] = True
-    dark = np.zeros_like(mask, dtype=np.float64)
-    dark[300:420, 260:520] = 0.3
-    dressed = scene * (1.0 - cv2.GaussianBlur(dark, (0, 0), 6.0))[:, :, None]
-    dressed[mask] = (160.0, 110.0, 70.0)
+    dressed, mask, dark = with_person_on_floor(scene, (160.0, 110.0, 70.0), 0.3)
     background = learn_background(photograph(scene, rng, exposure) for _ in range(12))
     assert np.mean(background.mean[..., 0] > 250) > 0.5
-    found = Segmenter(background).segment(photograph(dressed, rng, exposure))
-    assert np.count_nonzero(found.mask & mask) > 0.97 * np.count_nonzero(mask)
-    assert np.count_nonzero(found.mask[:, 250:]) < 0.02 * np.count_nonzero(dark)
-    assert np.count_nonzero(found.shadow[:, 250:]) > 0.8 * np.count_nonzero(dark)
+    check_person_and_shadow(Segmenter(background).segment(photograph(dressed, rng, exposure)), mask, dark)
 
 
 @pytest.mark.parametrize(
