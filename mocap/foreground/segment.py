@@ -34,9 +34,7 @@ _BLOCK_PX = 5
 # Rounding puts colours off by half a step, those of the background as well: two steps of blue or red at most. What
 # this share of them says is chosen on six compressed sessions, see decision 86.
 _COARSE = 1.5  # grey levels per step of a chrominance
-_SMALL_STEPS = (
-    0.4  # of what lies between neighbouring blocks is a step, or less where it was compressed twice
-)
+_SMALL_STEPS = 0.4  # of what lies between blocks is a step, or less where pictures were compressed twice
 _ROUNDED_SHARE = 0.01  # of the blocks beside each other that differ at least; fewer are the borders of things
 _COARSEST_STEP = 10  # of JPEG quality 10
 _COLOUR_EVERY = 64  # pictures; it takes as long as two of them
