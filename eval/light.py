@@ -8,7 +8,7 @@ without dividing the light out.  Writes eval/results/light.csv.
 Conditions: `exposure` swings by a quarter with a period of 45 frames; `white balance` moves red and blue by 15 %
 against each other in 60 frames; `lamp` makes one side of the picture up to 40 % brighter from the middle of the clip
 on; `flicker` draws two bands of 12 %, as lamps at 50 Hz do at short exposures; `noise` of 8 levels; `compression` as
-JPEG of quality 20. About a minute per session.
+JPEG of quality 20. One to three minutes per session.
 """
 
 from __future__ import annotations

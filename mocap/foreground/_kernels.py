@@ -431,9 +431,9 @@ def _beyond(residual, lost):
 def shadow_test(rows, background, place, candidate, rule, foreground, shadow):
     """Splits candidates by a ShadowRule: foreground = 1 or shadow = SHADOW; shadow = DOUBTFUL where (a) alone holds.
 
-    rows, background : (H, 3 W) uint8.  place : (y0, x0, w), corner and width of the window.  candidate : (h, at least
-    w) uint8, 0 or 1, columns a multiple of 8: the window, candidates only in its first w columns.  foreground, shadow :
-    like candidate, 0 on entry.
+    rows, background : (H, 3 W) uint8; values of the background from _SATURATED on may stand for brighter ones.
+    place : (y0, x0, w), corner and width of the window.  candidate : (h, at least w) uint8, 0 or 1, columns a multiple
+    of 8: the window, candidates only in its first w columns.  foreground, shadow : like candidate, 0 on entry.
     """
     y0, x0, w = place
     half, darkest, brightest, chroma_pixel, chroma, least_chroma, edge, noise = rule

@@ -31,9 +31,8 @@ _NOISIER = 1.25  # from which on the thresholds rise
 _NOISE_STEP = 0.1  # a smaller change of the noise leaves the thresholds
 _LEAST_SAMPLES = 100
 _BLOCK_PX = 5
-# Rounding puts colours off by half a step, those of the background as well: two steps of blue or red at most. What
-# this share of them says is chosen on six compressed sessions, see decision 86.
-_COARSE = 1.5  # grey levels per step of a chrominance
+# A step of a chrominance is 1.4 grey levels of red or 1.8 of blue. Chosen on six compressed sessions: decision 86.
+_COARSE = 1.5  # grey levels per step
 _SMALL_STEPS = 0.4  # of what lies between blocks is a step, or less where pictures were compressed twice
 _ROUNDED_SHARE = 0.01  # of the blocks beside each other that differ at least; fewer are the borders of things
 _COARSEST_STEP = 10  # of JPEG quality 10
@@ -72,7 +71,7 @@ class ForegroundSettings:
     shadow_chroma : how far the colour of a shadow, averaged over shadow_window_px, may be off the colour of the
         background, as a share of the brightness that is left; shadow_chroma_least : grey levels that are always
         allowed. shadow_chroma_pixel : grey levels that the single pixel may be off. The latter two rise with the
-        noise of the picture.
+        noise of the picture, and with the steps to which compression has rounded its colours.
     shadow_edge : a shadow is soft; where the brightness relative to the background changes by more than this from
         pixel to pixel, there is an object.
     outline_share, outline_window_px : a pixel at the rim of the foreground stays only if its difference from the
