@@ -26,10 +26,13 @@ WORKING_WIDTH_PX = 640  # larger pictures are cut reduced; their background is l
 # more than 1.3 to 3, nine tenths of the room less than 1.7, shadows up to 7.
 _UNREST = 2.0
 _QUIET = 1.6
-# What is in all cuts of a camera: of a quarter of its pixels the colour spreads by so many times the noise. Persons who
-# stay in their places have 3.1 and more (dev:reach, stand, in_place, gesture), furniture round which somebody walks 1.4
-# to 2.6, two small pieces 3 (dev:furnished, dev:room).
-_LEAST_SWAY = 2.6
+_LEAST_NOISE = 0.2  # levels: pictures that are drawn have none
+# What is in all cuts of a camera: a tenth of its pixels are so many times the noise off their usual colour, once the
+# shade that falls on them is divided out. Persons who stay in their places have 5.9 and more, most 7 to 12 (dev:reach,
+# stand, in_place, gesture), furniture round which one to three walk 1.8 to 5.2 (dev:furnished, dev:room; decision 88).
+_LEAST_STIR = 5.5
+_STIRS = 0.9  # of what must stir: a shirt is plain, outlines and folds move
+_SHADE_PX = 11  # side of the square in which shade has one strength
 _FAR = 20  # levels from the usual colour that count as "something else was here"
 _DIFFERS = 15  # levels from what is painted in that make a pixel likely to show a person in the first cut
 _MOST_HOLE_PX = 6000  # of 640 x 480: a hole in what moves that may still be inside a person
@@ -45,14 +48,12 @@ class KeyPictures:
     pictures : (K, h, w, 3) uint8, evenly spread, changes of the light as a whole divided out.
     usual : (h, w, 3) uint8, the most persistent colour.  is_quiet : (h, w) bool, where that is what stands still.
     is_active : (h, w) bool, where something that moves was at some time: persons and their shadows.
-    sway : (h, w), spread of the most persistent colour relative to the noise.
     """
 
     pictures: NDArray[np.uint8]
     usual: Image
     is_quiet: Mask
     is_active: Mask
-    sway: NDArray[np.float32]
 
 
 def reduction_of(width: int) -> int:
@@ -71,7 +72,7 @@ def key_pictures(images: Iterable[Image]) -> KeyPictures:
     soft = np.stack([cv2.blur(image, (3, 3)) for image in stack])
     usual, spread, moved = statistics_of(soft, _FAR)
     within = spread.max(axis=2)
-    noise = max(float(np.median(within)), 0.2)
+    noise = max(float(np.median(within)), _LEAST_NOISE)
     total = soft.std(axis=0, dtype=np.float32).max(axis=2)
     sway = cv2.blur(within / noise, (5, 5))
     unrest = cv2.blur(total / noise, (5, 5)) > _UNREST
@@ -87,7 +88,6 @@ def key_pictures(images: Iterable[Image]) -> KeyPictures:
         np.clip(np.round(usual), 0, 255).astype(np.uint8),
         quiet,
         is_active,
-        sway,
     )
 
 
@@ -167,16 +167,34 @@ def with_floor(
     return replace(background, mean=mean, std=std, covered=covered & ~hidden, told_share=told)
 
 
-def without_things(cuts: Sequence[Mask], sway: NDArray[np.float32]) -> list[Mask]:
-    """The cuts (h, w) of one camera without what is in all of them and stands still: a table that somebody walks round.
-
-    sway : (h, w), as of `KeyPictures`.
-    """
+def without_things(cuts: Sequence[Mask], keys: KeyPictures) -> list[Mask]:
+    """The cuts (h, w) of one camera without what is in all and stands still: a table that somebody walks round."""
     always = np.logical_and.reduce(list(cuts)).astype(np.uint8)
+    if not always.any():
+        return list(cuts)
+    stirring = _stirring(keys)
     n, labels = cv2.connectedComponents(always, connectivity=8)
-    is_thing = [False] + [float(np.quantile(sway[labels == i], 0.75)) < _LEAST_SWAY for i in range(1, n)]
+    is_thing = [False] + [bool(np.quantile(stirring[labels == i], _STIRS) < _LEAST_STIR) for i in range(1, n)]
     things = np.array(is_thing)[labels]
     return [cut & ~things for cut in cuts]
+
+
+def _stirring(keys: KeyPictures) -> NDArray[np.float32]:
+    """How far each pixel is off its usual colour, relative to the noise, (h, w), without the shade of who walks by.
+
+    Shade darkens a place and its neighbours alike; somebody who stays moves his outlines and folds.
+    """
+    usual = keys.usual.astype(np.float32) + 1
+    squares, n = np.zeros_like(usual), np.zeros_like(usual[..., 0])
+    for picture in keys.pictures:
+        off = cv2.blur(picture, (3, 3)).astype(np.float32) + 1 - usual
+        near = (np.abs(off) < _FAR).all(axis=2).astype(np.float32)
+        weight = np.maximum(cv2.blur(near, (_SHADE_PX, _SHADE_PX)), 1e-3)[..., None]
+        shade = cv2.blur(off / usual * near[..., None], (_SHADE_PX, _SHADE_PX)) / weight
+        squares += ((off - shade * usual) * near[..., None]) ** 2
+        n += near
+    spread = np.sqrt(squares.max(axis=2) / np.maximum(n, 1))
+    return cv2.blur(spread / max(float(np.median(spread)), _LEAST_NOISE), (5, 5))
 
 
 def off_rim(cut: Mask) -> Mask:

@@ -148,7 +148,7 @@ def _cuts_that_agree(
             again = each(_cut_again, pictures, witness.corrected([cut[k] for cut in cuts]))
             for cut, better in zip(cuts, again, strict=True):
                 cut[k] = better
-    return [without_things(cut, key.sway) for cut, key in zip(cuts, keys, strict=True)]
+    return [without_things(cut, key) for cut, key in zip(cuts, keys, strict=True)]
 
 
 def _cut_again(picture: Image, guess: Guess) -> Mask:

@@ -126,14 +126,33 @@ def test_shoes_that_every_cut_lacks_are_seen_before_the_floor_that_others_tell()
     np.testing.assert_array_equal(floor.mean[~region], background.mean[~region])
 
 
-def test_what_is_in_all_cuts_and_stands_still_is_a_thing() -> None:
-    person, table, passing = np.zeros((3, H, W), dtype=np.bool_)
-    person[20:80, 20:40] = True
-    table[60:80, 70:110] = True
-    passing[60:90, 100:120] = True
-    sway = np.full((H, W), 1.1, dtype=np.float32)
-    sway[20:80, 20:30] = 5.0  # a quarter of whoever stands and looks about is enough
-    sway[62:64, 70:110] = 5.0  # a shadow falls on the edge of the table
-    cuts = without_things([person | table, person | table | passing], sway)
+@pytest.mark.parametrize("shade", [0.0, 0.2])
+def test_what_is_in_all_cuts_and_stands_still_is_a_thing(shade: float) -> None:
+    """Somebody in plain clothes who sways stays in the cuts; a table goes, in the shade of who walks by as well."""
+    rng = np.random.default_rng(3)
+    _, pictures, silhouettes = recording()
+    table, passing = np.zeros((2, H, W), dtype=np.bool_)
+    table[60:80, 94:130] = True
+    passing[75:90, 120:136] = True
+    wood = cv2.resize(rng.uniform(60, 110, (4, 8, 3)), (36, 20), interpolation=cv2.INTER_NEAREST)
+    falls = np.linspace(0.2, 1, 36)[None, :, None]  # one end lies deeper in it
+    for i, picture in enumerate(pictures):
+        shaded = wood * (1 - shade * falls * (1 + np.sin(0.7 * i)) / 2)
+        picture[60:80, 94:130] = np.clip(shaded + rng.normal(0, NOISE, wood.shape), 0, 255)
+        if i % 6 < 2:  # he hides a part of it himself, another one every time
+            picture[60:80, 94 + i // 2 : 104 + i // 2] = 200
+        shirt = cv2.erode(silhouettes[i].astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        picture[shirt] = np.clip(65 + rng.normal(0, NOISE, (np.count_nonzero(shirt), 3)), 0, 255)
+    keys = key_pictures(pictures)
+    person = silhouettes.all(axis=0)
+    cuts = without_things([person | table, person | table | passing], keys)
     np.testing.assert_array_equal(cuts[0], person)
     np.testing.assert_array_equal(cuts[1], person | (passing & ~table))
+
+
+def test_cuts_that_have_nothing_in_common_hold_no_thing() -> None:
+    _, pictures, silhouettes = recording()
+    one, other = silhouettes[0], np.zeros((H, W), dtype=np.bool_)
+    cuts = without_things([one, other], key_pictures(pictures))
+    np.testing.assert_array_equal(cuts[0], one)
+    np.testing.assert_array_equal(cuts[1], other)
