@@ -29,7 +29,8 @@ _QUIET = 1.6
 _LEAST_NOISE = 0.2  # levels: pictures that are drawn have none
 # What is in all cuts of a camera: a tenth of its pixels are so many times the noise off their usual colour, once the
 # shade that falls on them is divided out. Persons who stay in their places have 5.9 and more, most 7 to 12 (dev:reach,
-# stand, in_place, gesture), furniture round which one to three walk 1.8 to 5.2 (dev:furnished, dev:room; decision 88).
+# stand, in_place, gesture), furniture round which one to three walk 1.8 to 5.2 and one piece 5.7 (dev:furnished,
+# dev:room; decision 88).
 _LEAST_STIR = 5.5
 _STIRS = 0.9  # of what must stir: a shirt is plain, outlines and folds move
 _SHADE_PX = 11  # side of the square in which shade has one strength
