@@ -17,8 +17,8 @@ from mocap.foreground.recording import (
     key_pictures,
     off_rim,
     reduction_of,
+    things_in,
     with_floor,
-    without_things,
 )
 from mocap.foreground.refine import refine_mask
 from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segmenter, clean_mask
@@ -45,8 +45,8 @@ __all__ = [
     "off_rim",
     "reduction_of",
     "refine_mask",
+    "things_in",
     "triples_of",
     "unfitted",
     "with_floor",
-    "without_things",
 ]

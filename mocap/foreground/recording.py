@@ -168,16 +168,18 @@ def with_floor(
     return replace(background, mean=mean, std=std, covered=covered & ~hidden, told_share=told)
 
 
-def without_things(cuts: Sequence[Mask], keys: KeyPictures) -> list[Mask]:
-    """The cuts (h, w) of one camera without what is in all and stands still: a table that somebody walks round."""
-    always = np.logical_and.reduce(list(cuts)).astype(np.uint8)
+def things_in(always: Mask, keys: KeyPictures) -> Mask:
+    """What stands still of the pixels that are in all cuts of a camera, (h, w) bool: a table that somebody walks round.
+
+    A connected piece is a thing or a person.
+    """
     if not always.any():
-        return list(cuts)
+        return always
     stirring = _stirring(keys)
-    n, labels = cv2.connectedComponents(always, connectivity=8)
+    n, labels = cv2.connectedComponents(always.astype(np.uint8), connectivity=8)
     is_thing = [False] + [bool(np.quantile(stirring[labels == i], _STIRS) < _LEAST_STIR) for i in range(1, n)]
-    things = np.array(is_thing)[labels]
-    return [cut & ~things for cut in cuts]
+    things: Mask = np.array(is_thing)[labels]
+    return things
 
 
 def _stirring(keys: KeyPictures) -> NDArray[np.float32]:

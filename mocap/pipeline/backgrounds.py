@@ -23,8 +23,8 @@ from mocap.foreground import (
     off_rim,
     reduction_of,
     refine_mask,
+    things_in,
     with_floor,
-    without_things,
 )
 from mocap.io.session import Session
 from mocap.io.session.reading import clip_of
@@ -35,6 +35,7 @@ from mocap.volume import Floor, Guess, Witness, choose_grid
 _LEAST_FRAMES = 3
 _LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two cones cross in many places
 _VOXEL_M = 0.03
+_LEAST_THING_PX = 150  # of a picture of the working size: less says of no thing where it is
 # What most cameras have found is in nearly all cuts after the first pass, and is held to in the second.
 _N_PASSES = 2
 
@@ -148,7 +149,37 @@ def _cuts_that_agree(
             again = each(_cut_again, pictures, witness.corrected([cut[k] for cut in cuts]))
             for cut, better in zip(cuts, again, strict=True):
                 cut[k] = better
-    return [without_things(cut, key) for cut, key in zip(cuts, keys, strict=True)]
+    return [
+        [cut & ~gone for cut in own]
+        for own, gone in zip(cuts, standing_things(cuts, keys, witness, each), strict=True)
+    ]
+
+
+def standing_things(
+    cuts: Sequence[Sequence[Mask]],
+    keys: Sequence[KeyPictures],
+    witness: Witness,
+    each: Callable[..., Iterable[Any]] = map,
+) -> list[Mask]:
+    """What stands still in all cuts of each camera, (H, W) bool: furniture that somebody walks round.
+
+    cuts : (H, W) bool per camera and key picture.  each : `map`, perhaps over threads.
+    """
+    always: list[Mask] = [np.logical_and.reduce(list(own)) for own in cuts]
+    things: list[Mask] = list(each(things_in, always, keys))
+    if not any(found.any() for found in things):
+        return things
+    # Somebody who is always before a thing, or behind it, is one piece with it: others say where each of them is.
+    rest = [own & ~found for own, found in zip(always, things, strict=True)]
+    is_told = [np.count_nonzero(found) > _LEAST_THING_PX for found in things]
+    thing, person = (
+        witness.agreed(
+            [part if told else own for told, part, own in zip(is_told, parts, always, strict=True)]
+        )
+        for parts in (things, rest)
+    )
+    alone = [own & a & ~b for own, a, b in zip(rest, thing, person, strict=True)]
+    return [found | more for found, more in zip(things, each(things_in, alone, keys), strict=True)]
 
 
 def _cut_again(picture: Image, guess: Guess) -> Mask:

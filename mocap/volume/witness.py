@@ -99,6 +99,10 @@ class Witness:
         voxels = self._carver.carve(cuts, n_faulty_views=n_faulty_views, min_votes=min_votes)
         return self._persons(np.intersect1d(voxels, self._ever, assume_unique=True).astype(np.int32))
 
+    def agreed(self, masks: Sequence[Mask]) -> list[Mask]:
+        """What nearly all cameras have in their masks, (H, W) bool per camera, as each of them sees it."""
+        return self._seen(self._carver.carve(masks, n_faulty_views=self._tolerance))
+
     def columns(self, cuts: Sequence[Mask]) -> list[Mask]:
         """What stands straight under somebody's legs in the cuts of one instant, (H, W) bool per camera: he hides the
         floor there, whether the cuts have his feet or not.

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from outline_world import make_rig
 from small_session import CAMERAS, SIZE, copy_session, small_session
 
+from mocap.data import CameraRig, VoxelGrid
 from mocap.errors import MocapError
-from mocap.foreground import Background, Segmenter
+from mocap.foreground import Background, KeyPictures, Segmenter, things_in
 from mocap.io.session import Session, open_session
 from mocap.io.video import iter_clip
 from mocap.pipeline import backgrounds as learning
-from mocap.pipeline.backgrounds import learn_backgrounds
+from mocap.pipeline.backgrounds import learn_backgrounds, standing_things
 from mocap.pipeline.config import SegmentationConfig
 from mocap.pipeline.people_check import check_people
+from mocap.volume import Witness
+from mocap.volume.residuals import silhouette
 
 MIN_IOU = 0.8  # a walker of 1,500 pixels whose steps overlap in twelve frames; 0.88 with an empty clip
 CONFIG = SegmentationConfig()
@@ -194,3 +199,49 @@ def test_furniture_on_the_floor_that_others_see_behind_it_is_background(root: Pa
     ]
     assert np.mean(taken) < 0.1 * box.mean()
     assert iou(opened, backgrounds) > MIN_IOU
+
+
+def seen_over_a_clip(person: np.ndarray, rng: np.random.Generator) -> KeyPictures:
+    """Twelve pictures of noise, in which somebody (H, W) bool moves in his clothes."""
+    pictures = rng.normal(100, 2, (12, *person.shape, 3))
+    pictures[:, person] += rng.normal(0, 20, (12, np.count_nonzero(person), 1))
+    pictures = pictures.clip(0, 255).astype(np.uint8)
+    usual = np.median([cv2.blur(picture, (3, 3)) for picture in pictures], axis=0).astype(np.uint8)
+    return KeyPictures(pictures, usual, ~person, person)
+
+
+def filled(rig: CameraRig, low_m: tuple[float, ...], high_m: tuple[float, ...]) -> list[np.ndarray]:
+    """What every camera sees of a box."""
+    axes = [np.arange(low, high, 0.03) for low, high in zip(low_m, high_m, strict=True)]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    return [silhouette(camera, points, 0.03) for camera in rig]
+
+
+def grown(mask: np.ndarray, px: int) -> np.ndarray:
+    return cv2.dilate(mask.astype(np.uint8), np.ones((2 * px + 1,) * 2, np.uint8)) > 0
+
+
+@pytest.mark.parametrize(("at_m", "seeing"), [((0.9, -0.2), range(5)), ((-1.2, -0.3), (0,))])
+def test_others_say_where_a_thing_ends_and_who_is_beside_it_begins(
+    at_m: tuple[float, float], seeing: Sequence[int]
+) -> None:
+    """Somebody stays before a table; or one camera has always one or another of those who pass behind it."""
+    rig, rng = make_rig(), np.random.default_rng(4)
+    tables = filled(rig, (-0.5, -0.4, 0.0), (0.5, 0.4, 0.8))
+    body = filled(rig, (*at_m, 0.0), (at_m[0] + 0.3, at_m[1] + 0.3, 1.7))
+    body = [seen & (c in seeing) for c, seen in enumerate(body)]
+    persons = [grown(seen, 3) for seen in body]  # he moves
+    if at_m[0] < 0:
+        persons = [person & ~table for person, table in zip(persons, tables, strict=True)]
+    keys = [seen_over_a_clip(person, rng) for person in persons]
+    cuts = [[table | seen] * 12 for table, seen in zip(tables, body, strict=True)]
+    is_told = [things_in(cut[0], key).any() for cut, key in zip(cuts, keys, strict=True)]
+    assert not is_told[0]
+    room = VoxelGrid.from_bounds(np.array([-2.0, -2.0, 0.0]), np.array([2.0, 2.0, 2.0]), 0.03)
+    things = standing_things(cuts, keys, Witness(rig, room, persons))
+    for found, table in zip(things, tables, strict=True):
+        assert np.count_nonzero(found & ~grown(table, 2)) < 0.01 * np.count_nonzero(table)
+    gone = sorted(found[table & ~p].mean() for found, table, p in zip(things, tables, persons, strict=True))
+    # All round but where he has the middle of the table behind him: what is beside him stirs with him there.
+    assert gone[1] > 0.85
+    assert seeing != (0,) or gone[0] > 0.85
