@@ -20,6 +20,7 @@ from mocap.volume.mesh import hull_mesh
 from mocap.volume.occluders import OccluderLearner, learn_occluders, masks_by_cells, no_occluders
 from mocap.volume.residuals import SilhouetteResiduals, silhouette_residuals
 from mocap.volume.second_look import SecondLook
+from mocap.volume.shade import Shade, darkest_shadow
 from mocap.volume.surface import surface_map, surface_voxels
 from mocap.volume.witness import Guess, Witness
 
@@ -32,6 +33,7 @@ __all__ = [
     "Guess",
     "OccluderLearner",
     "SecondLook",
+    "Shade",
     "SilhouetteEvidence",
     "SilhouetteResiduals",
     "VoteVolume",
@@ -41,6 +43,7 @@ __all__ = [
     "coarsen",
     "colour_hull",
     "connected_components",
+    "darkest_shadow",
     "default_min_views",
     "find_camera_faults",
     "find_faults",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -77,6 +78,26 @@ def test_report_names_the_camera_that_flickers(root: Path, tmp_path: Path) -> No
         w for w in report.warnings if w.startswith("camera left:") and "flicker" in w
     ]
     assert any("flicker" in w for w in report.warnings)
+
+
+def test_shadows_are_as_dark_as_the_recording_says(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = open_session(root)
+    for f in range(N_FRAMES):  # a shadow of two thirds of the light
+        path = root / "images" / "right" / f"{f:03d}.png"
+        picture = cv2.imread(str(path)).astype(np.float64)
+        picture[20:60, 22 + 2 * f : 46 + 2 * f] = 80.0
+        assert cv2.imwrite(str(path), picture.astype(np.uint8))
+    for darkest, expected in ((0.5, 0), (0.7, 900)):
+        monkeypatch.setattr(
+            "mocap.pipeline.stages.segment.with_shadows_of",
+            lambda *some, darkest=darkest: replace(some[2], shadow_darkest=darkest),
+        )
+        store, masks = segmented(root, tmp_path / f"{darkest}.zarr")
+        report = segment_report(Job(session, load_config(), store))
+        assert report.numbers["shadow_darkest"] == darkest
+        assert np.count_nonzero(masks[3, 2]) == pytest.approx(expected, rel=0.2)
 
 
 def blacken(root: Path, names: tuple[str, ...], frames: range) -> None:

@@ -26,6 +26,7 @@ from mocap.io.session.reading import masks_of, pictures_of
 from mocap.io.store import StageStore
 from mocap.io.video import in_size_of, iter_clip
 from mocap.pipeline.backgrounds import learn_backgrounds
+from mocap.pipeline.shade import with_shadows_of
 from mocap.pipeline.stage import (
     Ending,
     FrameWork,
@@ -78,6 +79,7 @@ def _start(job: Job) -> _Segmenting:
     foreground = ForegroundSettings(
         method=settings.method, hold_frames=max(1, round(settings.hold_s * session.fps))
     )
+    foreground = with_shadows_of(session, backgrounds, foreground, job.each)
     segmenters = tuple(
         Segmenter(b, foreground, roi=region_of_interest(session, camera))
         for b, camera in zip(backgrounds, session.rig, strict=True)
@@ -148,7 +150,12 @@ def _segmented(segmenter: Segmenter, picture: NDArray[np.uint8]) -> ForegroundMa
 def _finish(state: _Segmenting) -> Ending:
     if not state.segmenters:
         return Ending(attrs={PRODUCT: {"source": "masks"}})
-    attrs = {"source": "images", "warnings": list(state.warnings), "never_empty": list(state.never_empty)}
+    attrs = {
+        "source": "images",
+        "warnings": list(state.warnings),
+        "never_empty": list(state.never_empty),
+        "shadow_darkest": state.segmenters[0].settings.shadow_darkest,
+    }
     rows = [Row(empty_product.PRODUCT, c, arrays) for c, arrays in empty_product.empty_rows(state.empty)]
     return Ending(rows, {PRODUCT: attrs})
 
@@ -201,6 +208,7 @@ def segment_report(job: Job) -> StageReport:
         {
             "mean_foreground_share": round(float(share.mean()), 4),
             "source": reader.attrs["source"],
+            "shadow_darkest": reader.attrs.get("shadow_darkest"),
             "cameras": {quality.camera: quality_numbers(quality) for quality in qualities},
         },
     )

@@ -1,0 +1,90 @@
+"""Somebody in trousers of the floor's colour, and his shadow, in pictures of several cameras."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from outline_world import make_rig
+
+from mocap.foreground import Background, ForegroundSettings, Segmenter
+from mocap.pipeline.shade import with_shadows_in
+from mocap.volume.residuals import silhouette
+
+SETTINGS = ForegroundSettings()
+FLOOR = np.array([120.0, 100.0, 90.0])
+TROUSERS, SHADE = 0.57, 0.72  # of the light
+
+
+def room() -> Any:
+    return SimpleNamespace(rig=make_rig(), room_bounds_m=None)
+
+
+def box(low_m: tuple[float, ...], high_m: tuple[float, ...]) -> list[np.ndarray]:
+    axes = [np.arange(low, high, 0.02) for low, high in zip(low_m, high_m, strict=True)]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    return [silhouette(camera, points, 0.02) for camera in make_rig()]
+
+
+def pictures(
+    light: float, exposure: float = 1.0, shade: float = SHADE
+) -> tuple[list[Background], list[np.ndarray], list[np.ndarray]]:
+    """What every camera has of the empty room, shows, and should find; somebody is as dark as `light`."""
+    rng = np.random.default_rng(6)
+    persons, shadows = box((-0.2, -0.2, 0.0), (0.2, 0.2, 1.4)), box((0.2, -0.5, 0.0), (0.9, 0.4, 0.01))
+    backgrounds, shown = [], []
+    for person, shadow in zip(persons, shadows, strict=True):
+        mean = FLOOR * cv2.resize(rng.uniform(0.85, 1.15, (8, 10)), person.shape[::-1])[..., None]
+        picture = np.where(person, light, np.where(shadow, shade, 1.0))[..., None] * mean * exposure
+        shown.append(np.clip(picture + rng.normal(0, 1.0, mean.shape), 0, 255).astype(np.uint8))
+        backgrounds.append(
+            Background(mean.astype(np.float32), np.ones_like(mean, np.float32), 12, "clip", 0.0)
+        )
+    return backgrounds, shown, persons
+
+
+def iou(
+    backgrounds: list[Background], shown: list[np.ndarray], persons: list[np.ndarray], s: ForegroundSettings
+) -> float:
+    found = [Segmenter(b, s).segment(picture).mask for b, picture in zip(backgrounds, shown, strict=True)]
+    hit = sum(np.count_nonzero(a & b) for a, b in zip(found, persons, strict=True))
+    return hit / sum(np.count_nonzero(a | b) for a, b in zip(found, persons, strict=True))
+
+
+@pytest.mark.parametrize("exposure", [1.0, 0.8])
+def test_trousers_of_the_floors_colour_are_told_from_shadows(exposure: float) -> None:
+    backgrounds, shown, persons = pictures(TROUSERS, exposure)
+    settings = with_shadows_in([shown] * 3, room(), backgrounds, SETTINGS)
+    assert TROUSERS < settings.shadow_darkest <= SHADE
+    assert replace(settings, shadow_darkest=SETTINGS.shadow_darkest) == SETTINGS
+    assert iou(backgrounds, shown, persons, settings) > 0.85
+    assert iou(backgrounds, shown, persons, SETTINGS) < 0.5
+
+
+def test_shadows_of_a_hard_light_are_shadows() -> None:
+    backgrounds, shown, persons = pictures(1.8, shade=0.38)
+    settings = with_shadows_in([shown] * 3, room(), backgrounds, SETTINGS)
+    assert settings.shadow_darkest <= 0.38
+    assert iou(backgrounds, shown, persons, settings) > 0.85
+    assert iou(backgrounds, shown, persons, SETTINGS) < 0.75
+
+
+def test_cameras_that_show_nothing_have_no_say() -> None:
+    backgrounds, shown, _ = pictures(TROUSERS)
+    whole = [np.full_like(picture, 250) for picture in shown]
+    nothing = np.zeros((0, 0, 3), np.uint8)
+    settings = with_shadows_in([[*shown[:3], whole[3], nothing]] * 3, room(), backgrounds, SETTINGS)
+    assert TROUSERS < settings.shadow_darkest <= SHADE
+    assert with_shadows_in([[nothing] * 5], room(), backgrounds, SETTINGS) == SETTINGS
+
+
+def test_settings_stay_where_nobody_wears_the_floors_colour_and_with_tests_of_others() -> None:
+    backgrounds, shown, _ = pictures(1.8)
+    assert with_shadows_in([shown] * 3, room(), backgrounds, SETTINGS) == SETTINGS
+    backgrounds, shown, _ = pictures(TROUSERS)
+    mog2 = replace(SETTINGS, method="mog2")
+    assert with_shadows_in([shown] * 3, room(), backgrounds, mog2) == mog2
