@@ -8,7 +8,7 @@ without dividing the light out.  Writes eval/results/light.csv.
 Conditions: `exposure` swings by a quarter with a period of 45 frames; `white balance` moves red and blue by 15 %
 against each other in 60 frames; `lamp` makes one side of the picture up to 40 % brighter from the middle of the clip
 on; `flicker` draws two bands of 12 %, as lamps at 50 Hz do at short exposures; `noise` of 8 levels; `compression` as
-JPEG of quality 20. One to three minutes per session.
+JPEG of quality 20; `hard light` leaves 40 % of it in shadows. One to three minutes per session.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.segmentation import ROOT, TEST, View, sessions, views
+from eval.segmentation import INSTANTS, ROOT, TEST, View, sessions, views
 from eval.whole import write_csv
 from mocap.foreground import ForegroundSettings, Segmenter, learn_background
 from mocap.io.session import open_session
+from mocap.pipeline.shade import with_shadows_in
 from mocap.pipeline.stages.segment import second_look
 
 RESULTS = ROOT / "eval" / "results" / "light.csv"
@@ -71,6 +72,17 @@ def _compressed(picture: Image, quality: int) -> Image:
     return cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 
+def _hard(picture: Image, empty: NDArray[np.float32], person: NDArray[np.bool_]) -> Image:
+    """The picture with shadows of a hard light, soft only at their rims; a person as he was."""
+    near = cv2.dilate(person.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    left = (picture.sum(axis=2, dtype=np.float32) + 1) / (empty.sum(axis=2) + 1)
+    share = cv2.blur((~near).astype(np.float32), (9, 9))
+    around = cv2.blur(np.where(near, np.float32(0), left), (9, 9)) / np.maximum(share, 1e-3)
+    shade = np.clip((0.97 - np.where(share > 0.05, around, 1)) / 0.15, 0, 1)
+    light = np.where(person | (shade == 0), 1, np.minimum((1 - 0.6 * shade) / np.maximum(around, 0.3), 1))
+    return _lit(picture, light[..., None])
+
+
 Spoil = Callable[[Image, int, int, np.random.Generator], Image]
 
 CONDITIONS: dict[str, Spoil] = {
@@ -82,6 +94,7 @@ CONDITIONS: dict[str, Spoil] = {
     "noise": _noise,
     "compression": lambda picture, frame, n, rng: _compressed(picture, 20),
 }
+HARD = "hard light"
 # Of the camera: the empty clip is like that, too.
 CAMERAS: dict[str, Spoil] = {
     "overexposed": lambda picture, frame, n, rng: _lit(picture, 1.8),
@@ -95,7 +108,7 @@ def evaluate(folder: Path, step: int) -> dict[str, dict[str, float]]:
     cameras = views(session, step)
     look = second_look(session)
     found: dict[str, dict[str, float]] = {}
-    for condition, spoil in (CONDITIONS | CAMERAS).items():
+    for condition, spoil in (CONDITIONS | CAMERAS | {HARD: CONDITIONS["as recorded"]}).items():
         rng = np.random.default_rng(0)
         n = len(session.frames)
         backgrounds = [
@@ -105,12 +118,20 @@ def evaluate(folder: Path, step: int) -> dict[str, dict[str, float]]:
             for view in cameras
         ]
         counts = {name: np.zeros(2) for name in (*METHODS, LOOK)}
-        segmenters = {
-            name: [Segmenter(background, settings) for background in backgrounds]
-            for name, settings in METHODS.items()
-        }
+        seen = []
         for i in range(min(len(view.truth) for view in cameras)):
             pictures = [spoil(view.images[i], i * step, n, rng) for view in cameras]
+            if condition == HARD:
+                pictures = [
+                    _hard(picture, background.mean, view.truth[i])
+                    for picture, background, view in zip(pictures, backgrounds, cameras, strict=True)
+                ]
+            seen.append(pictures)
+        segmenters = {}
+        for name, settings in METHODS.items():
+            told = with_shadows_in(seen[:: max(1, len(seen) // INSTANTS)], session, backgrounds, settings)
+            segmenters[name] = [Segmenter(background, told) for background in backgrounds]
+        for i, pictures in enumerate(seen):
             for name, own in segmenters.items():
                 answers = [s.segment(picture) for s, picture in zip(own, pictures, strict=True)]
                 masks = [a.mask for a in answers]

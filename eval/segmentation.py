@@ -38,6 +38,7 @@ from mocap.foreground import (
 )
 from mocap.io.session import Session, open_session
 from mocap.io.video import MaskReader, iter_clip
+from mocap.pipeline.shade import with_shadows_in
 from mocap.pipeline.stages.segment import second_look
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,6 +57,7 @@ RIM_PX = 2
 DARKER = 0.95  # of the background's brightness
 FEET = 0.2  # of the person's height in the picture: so far above his lowest pixel, and below it, and to both sides
 TIMED = 20
+INSTANTS = 8  # that tell how dark shadows get
 
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -115,21 +117,27 @@ def background_of(method: str, empty: list[Image], images: list[Image]) -> Backg
     return learn_background(empty[:1] if method == "ours, still" else empty)
 
 
+def segmenters_of(session: Session, cameras: Sequence[View], method: str) -> list[Segmenter]:
+    """A method's segmenters, which know how dark shadows get in the pictures."""
+    settings = ForegroundSettings(method=method if method in ("mog2", "knn") else "gaussian")
+    backgrounds = [view.backgrounds[method] for view in cameras]
+    settings = with_shadows_in(instants(cameras), session, backgrounds, settings)
+    return [Segmenter(background, settings) for background in backgrounds]
+
+
+def instants(cameras: Sequence[View]) -> Iterator[list[Image]]:
+    """Some pictures of all cameras, evenly spread."""
+    n = min(len(view.images) for view in cameras)
+    return ([view.images[i] for view in cameras] for i in range(0, n, max(1, n // INSTANTS)))
+
+
 def evaluate(folder: Path, step: int) -> dict[str, dict[str, float]]:
     """Numbers of every method on one session; every step-th picture is scored."""
     session = open_session(folder)
     cameras = views(session, step)
     look = second_look(session)
     methods = METHODS if look is None else (METHODS[0], LOOK, *METHODS[1:])
-    segmenters = {
-        m: [
-            Segmenter(
-                view.backgrounds[m], ForegroundSettings(method=m if m in ("mog2", "knn") else "gaussian")
-            )
-            for view in cameras
-        ]
-        for m in METHODS
-    }
+    segmenters = {m: segmenters_of(session, cameras, m) for m in METHODS}
     counts = {m: np.zeros(1 + len(KINDS)) for m in methods}
     times: dict[str, list[float]] = {m: [] for m in methods}
     for i in range(min(len(view.truth) for view in cameras)):

@@ -81,5 +81,16 @@ def test_a_few_pixels_change_nothing(side_px: int, is_told: bool) -> None:
 
 def test_of_large_shadows_some_places_are_asked_about(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = darkest_shadow(ring_rig(), ROOM, instants(0.55, 0.66), USUAL)
-    monkeypatch.setattr("mocap.volume.shade._PIXELS", 300)
+    monkeypatch.setattr("mocap.volume.shade._PIXELS", 30)
     assert darkest_shadow(ring_rig(), ROOM, instants(0.55, 0.66), USUAL) == pytest.approx(whole, abs=0.05)
+
+
+def test_trousers_do_not_witness_for_each_other() -> None:
+    """The floor behind a dark leg is hidden by the other one from the camera opposite, and lit in no picture."""
+    rig = CameraRig(tuple(ring_rig())[:4])
+    seen = []
+    for dark, person in zip((0.31, 0.42, 0.53, 0.64), standing_silhouettes(AT), strict=False):
+        seen.append(Shade(person, ~person, np.where(person, np.float32(dark), np.float32(0.1))))
+    assert darkest_shadow(rig, ROOM, [seen], USUAL) == USUAL
+    same = [shade._replace(light=np.where(shade.shadow, np.float32(0.4), np.float32(0))) for shade in seen]
+    assert darkest_shadow(rig, ROOM, [same], USUAL) <= 0.4
