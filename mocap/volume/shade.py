@@ -25,8 +25,8 @@ _STEP = 0.02
 _SAME_LIGHT = 0.1  # a shadow is as dark from everywhere; somebody's trousers before and behind him are not
 _PIXELS = 4000  # of a camera and instant: of more, every second or third is asked about
 # Share of the pictures' pixels that another limit must tell better than the usual one, in pixels of 640 x 480. It was
-# 350 in dev:furnished, where trousers have the floor's colour, and 560 in dev:walk with shadows made as dark as in the
-# sun; 16 at most in 47 other sessions and scenes (decision 89).
+# 420 in dev:furnished and 300 in dark_trousers, where trousers have the floor's colour, 1,500 in dev:walk with shadows
+# made as dark as in the sun; 33 at most in 44 other sessions and scenes (decision 89).
 _LEAST_TOLD = 40.0 / (640 * 480)
 
 
