@@ -65,10 +65,10 @@ def _shade(segmenter: Segmenter, background: Background, picture: Image) -> Shad
     if not len(picture):
         return None
     found = segmenter.segment(picture)
-    if not found.is_usable:
+    free = ~(found.mask | found.shadow)[::8, ::8]
+    if not found.is_usable or not free.any():
         return None
     light = np.zeros(found.shadow.shape, dtype=np.float32)
-    free = ~(found.mask | found.shadow)[::8, ::8]
     usual = _light(picture[::8, ::8][free], background.mean[::8, ::8][free])
     soft, shadow = cv2.blur(picture, (3, 3)), found.shadow
     light[shadow] = _light(soft[shadow], background.mean[shadow]) / np.median(usual)

@@ -61,7 +61,6 @@ def darkest_shadow(
     # Shadows below the limit are taken for persons, persons above it for shadows.
     wrong = np.append(0, lying.cumsum()) + np.append(0, standing[::-1].cumsum())[::-1]
     best, at_usual = int(wrong.argmin()), int(np.abs(edges - usual).argmin())
-
     is_told = wrong[at_usual] - wrong[best] >= _LEAST_TOLD * n_seen
     return float(edges[best]) if is_told else usual
 

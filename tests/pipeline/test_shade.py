@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import cv2
 import numpy as np
 import pytest
 from outline_world import make_rig
 
-from mocap.foreground import Background, ForegroundSettings, Segmenter
+from mocap.foreground import Background, ForegroundMask, ForegroundSettings, Segmenter
 from mocap.pipeline.shade import with_shadows_in
 from mocap.volume.residuals import silhouette
 
@@ -73,6 +74,11 @@ def test_shadows_of_a_hard_light_are_shadows() -> None:
     assert iou(backgrounds, shown, persons, SETTINGS) < 0.75
 
 
+def all_in_shade(picture: np.ndarray) -> ForegroundMask:
+    nobody = np.zeros(picture.shape[:2], dtype=np.bool_)
+    return ForegroundMask(nobody, ~nobody, nobody, 0.0, 1.0, is_usable=True, box=(0, 199, 0, 159))
+
+
 def test_cameras_that_show_nothing_have_no_say() -> None:
     backgrounds, shown, _ = pictures(TROUSERS)
     whole = [np.full_like(picture, 250) for picture in shown]
@@ -80,6 +86,9 @@ def test_cameras_that_show_nothing_have_no_say() -> None:
     settings = with_shadows_in([[*shown[:3], whole[3], nothing]] * 3, room(), backgrounds, SETTINGS)
     assert TROUSERS < settings.shadow_darkest <= SHADE
     assert with_shadows_in([[nothing] * 5], room(), backgrounds, SETTINGS) == SETTINGS
+    shaded = [np.clip(b.mean * 0.6, 0, 255).astype(np.uint8) for b in backgrounds]
+    with mock.patch.object(Segmenter, "segment", lambda _, picture: all_in_shade(picture)):
+        assert with_shadows_in([shaded], room(), backgrounds, SETTINGS) == SETTINGS
 
 
 def test_settings_stay_where_nobody_wears_the_floors_colour_and_with_tests_of_others() -> None:
