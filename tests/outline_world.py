@@ -14,6 +14,7 @@ from mocap.likelihood.residuals import (
     person_outlines,
     pinhole_view,
 )
+from mocap.volume.residuals import silhouette as silhouette_of_voxels
 
 W, H = 200, 160
 FOCAL = 150.0
@@ -33,6 +34,15 @@ def make_rig(dist: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)) -> CameraRig:
         K = np.array([[FOCAL, 0.0, W / 2], [0.0, FOCAL, H / 2], [0.0, 0.0, 1.0]])
         cameras.append(Camera(f"c{i}", (W, H), K, np.array(dist), R, -R @ eye))
     return CameraRig(tuple(cameras))
+
+
+def box_silhouettes(
+    rig: CameraRig, low_m: tuple[float, ...], high_m: tuple[float, ...], side_m: float
+) -> list[np.ndarray]:
+    """What every camera sees of a box filled with voxels."""
+    axes = [np.arange(low, high, side_m) for low, high in zip(low_m, high_m, strict=True)]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    return [silhouette_of_voxels(camera, points, side_m) for camera in rig]
 
 
 def silhouette(flesh: Flesh, state: np.ndarray, camera: Camera) -> np.ndarray:

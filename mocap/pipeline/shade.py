@@ -17,7 +17,8 @@ from mocap.io.session.reading import pictures_of
 from mocap.volume import Shade, choose_grid, darkest_shadow
 from mocap.volume.shade import DARKEST
 
-# Instants that are looked at, and the seconds that they are spread over: what follows is decoded for nothing.
+# Instants that are looked at, or up to twice as many, and the seconds that they are spread over: what lies between is
+# decoded for nothing.
 _INSTANTS, _WITHIN_S = 8, 30.0
 _VOXEL_M = 0.04  # of the grid whose floor is asked
 

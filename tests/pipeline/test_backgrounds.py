@@ -10,10 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from outline_world import make_rig
+from outline_world import box_silhouettes, make_rig
 from small_session import CAMERAS, SIZE, copy_session, small_session
 
-from mocap.data import CameraRig, VoxelGrid
+from mocap.data import VoxelGrid
 from mocap.errors import MocapError
 from mocap.foreground import Background, KeyPictures, Segmenter, things_in
 from mocap.io.session import Session, open_session
@@ -23,7 +23,6 @@ from mocap.pipeline.backgrounds import learn_backgrounds, standing_things
 from mocap.pipeline.config import SegmentationConfig
 from mocap.pipeline.people_check import check_people
 from mocap.volume import Witness
-from mocap.volume.residuals import silhouette
 
 MIN_IOU = 0.8  # a walker of 1,500 pixels whose steps overlap in twelve frames; 0.88 with an empty clip
 CONFIG = SegmentationConfig()
@@ -210,13 +209,6 @@ def seen_over_a_clip(person: np.ndarray, rng: np.random.Generator) -> KeyPicture
     return KeyPictures(pictures, usual, ~person, person)
 
 
-def filled(rig: CameraRig, low_m: tuple[float, ...], high_m: tuple[float, ...]) -> list[np.ndarray]:
-    """What every camera sees of a box."""
-    axes = [np.arange(low, high, 0.03) for low, high in zip(low_m, high_m, strict=True)]
-    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
-    return [silhouette(camera, points, 0.03) for camera in rig]
-
-
 def grown(mask: np.ndarray, px: int) -> np.ndarray:
     return cv2.dilate(mask.astype(np.uint8), np.ones((2 * px + 1,) * 2, np.uint8)) > 0
 
@@ -227,8 +219,8 @@ def test_others_say_where_a_thing_ends_and_who_is_beside_it_begins(
 ) -> None:
     """Somebody stays before a table; or one camera has always one or another of those who pass behind it."""
     rig, rng = make_rig(), np.random.default_rng(4)
-    tables = filled(rig, (-0.5, -0.4, 0.0), (0.5, 0.4, 0.8))
-    body = filled(rig, (*at_m, 0.0), (at_m[0] + 0.3, at_m[1] + 0.3, 1.7))
+    tables = box_silhouettes(rig, (-0.5, -0.4, 0.0), (0.5, 0.4, 0.8), 0.03)
+    body = box_silhouettes(rig, (*at_m, 0.0), (at_m[0] + 0.3, at_m[1] + 0.3, 1.7), 0.03)
     body = [seen & (c in seeing) for c, seen in enumerate(body)]
     persons = [grown(seen, 3) for seen in body]  # he moves
     if at_m[0] < 0:

@@ -10,11 +10,10 @@ from unittest import mock
 import cv2
 import numpy as np
 import pytest
-from outline_world import make_rig
+from outline_world import box_silhouettes, make_rig
 
 from mocap.foreground import Background, ForegroundMask, ForegroundSettings, Segmenter
 from mocap.pipeline.shade import with_shadows_in
-from mocap.volume.residuals import silhouette
 
 SETTINGS = ForegroundSettings()
 FLOOR = np.array([120.0, 100.0, 90.0])
@@ -25,18 +24,13 @@ def room() -> Any:
     return SimpleNamespace(rig=make_rig(), room_bounds_m=None)
 
 
-def box(low_m: tuple[float, ...], high_m: tuple[float, ...]) -> list[np.ndarray]:
-    axes = [np.arange(low, high, 0.02) for low, high in zip(low_m, high_m, strict=True)]
-    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
-    return [silhouette(camera, points, 0.02) for camera in make_rig()]
-
-
 def pictures(
     light: float, exposure: float = 1.0, shade: float = SHADE
 ) -> tuple[list[Background], list[np.ndarray], list[np.ndarray]]:
     """What every camera has of the empty room, shows, and should find; somebody is as dark as `light`."""
     rng = np.random.default_rng(6)
-    persons, shadows = box((-0.2, -0.2, 0.0), (0.2, 0.2, 1.4)), box((0.2, -0.5, 0.0), (0.9, 0.4, 0.01))
+    persons = box_silhouettes(make_rig(), (-0.2, -0.2, 0.0), (0.2, 0.2, 1.4), 0.02)
+    shadows = box_silhouettes(make_rig(), (0.2, -0.5, 0.0), (0.9, 0.4, 0.01), 0.02)
     backgrounds, shown = [], []
     for person, shadow in zip(persons, shadows, strict=True):
         mean = FLOOR * cv2.resize(rng.uniform(0.85, 1.15, (8, 10)), person.shape[::-1])[..., None]
