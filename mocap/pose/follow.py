@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from typing import Any, Protocol, TypeVar
 
@@ -210,13 +209,15 @@ def follow_both_ways(
     *,
     seed: int,
     take: Callable[[FramePose], None],
+    leave: Callable[[PersonClip], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> PersonClip:
     """Every frame of a clip once, from the first pose to the end and back to the beginning, as `follow_pose`; both ways
     at once, in two processes, where there are threads for it.
 
-    take : given every pose once; what it writes must be shared (`forks.shared_zeros`).  Returns the clip with what was
-    learnt on the way to the end; each way learns by itself.
+    take : given every pose once.  leave : given the clip of the way back at its end, with what was learnt on it. What
+    either writes must be shared (`forks.shared_zeros`).  Returns the clip with what was learnt on the way to the end;
+    each way learns by itself.
     """
     n_threads, tick = clip.observation.tools.n_threads, progress or (lambda n: None)
     start = int(np.searchsorted(clip.frames, first.frame))
@@ -229,7 +230,11 @@ def follow_both_ways(
                 take(pose)
                 tick(1)
 
-    go_back = partial(follow_way, earlier, name_back, back)
+    def go_back(tick: Callable[[int], None]) -> None:
+        follow_way(earlier, name_back, back, tick)
+        if leave is not None:
+            leave(earlier)
+
     if n_threads > 1 and len(back) > 1 and can_fork():
         with forked(go_back, tick):
             follow_way(later, name, onwards, tick)

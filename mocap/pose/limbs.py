@@ -54,9 +54,12 @@ def legs_of(body: Body) -> tuple[Limb, Limb] | None:
 
 
 @lru_cache(maxsize=16)
-def arms_of(body: Body) -> tuple[Limb, Limb] | None:
-    """Left and right arm with the landmarks below the shoulder, in this order; None for a body that has not two."""
-    return _pair_of(body, _ARM)
+def arms_of(body: Body, *, with_hands: bool = True) -> tuple[Limb, Limb] | None:
+    """Left and right arm with the landmarks below the shoulder, in this order; None for a body that has not two.
+
+    with_hands : tips of hands are among the landmarks.
+    """
+    return _pair_of(body, _ARM if with_hands else _ARM[:2])
 
 
 def _pair_of(body: Body, kinds: Sequence[str]) -> tuple[Limb, Limb] | None:

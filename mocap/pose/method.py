@@ -273,7 +273,7 @@ class RepairSettings(_Strict):
     """Limbs that jump from one frame to the next: what was known on one side is carried to the other."""
 
     jump_m: float = 0.15
-    """A jump is a move by this much beyond what a limb may move in a frame."""
+    """A jump is a move by this much beyond what a limb may move in a frame; of an elbow or a wrist, any move beyond."""
     fast_m_s: float = 3.0
     """What a limb may move."""
     same_m: float = 0.08

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import chain
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate
-from mocap.forks import in_processes
+from mocap.forks import in_processes, shared_zeros
 from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
 from mocap.pose.evidence import FrameEvidence, PersonClip
 from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, on_threads, unbroken
@@ -36,6 +37,9 @@ from mocap.profiling import part
 from mocap.rng import rng_for
 
 Array = NDArray[np.float64]
+
+# Made ready for repairs, which come back to a frame with another limb, from its other side, and to put it right.
+_KEPT_FRAMES = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,13 +285,24 @@ def _followed(
     tools = clip.observation.tools
     series = FrameSeries.of_length(len(clip), tools.body)
 
+    appearance = clip.observation.appearance
+    of_way_back = shared_zeros((0,) if appearance is None else appearance.counts.shape, np.float32)
+
     def take(pose: FramePose) -> None:
         note(series, pose.row, pose, tools)
 
-    learnt = follow_both_ways(clip, first, seed=seed, take=take, progress=progress)
+    def leave(back: PersonClip) -> None:
+        assert isinstance(back.observation, VolumeObservation)
+        if back.observation.appearance is not None:
+            of_way_back[:] = back.observation.appearance.counts
+
+    learnt = follow_both_ways(clip, first, seed=seed, take=take, leave=leave, progress=progress)
     if tools.settings.repair and tools.settings.refine:
+        assert isinstance(learnt.observation, VolumeObservation)
+        # Where a limb was lost it has taught its own colours; on the other way it had its own place.
+        observation = learnt.observation.knowing(of_way_back)
         with part("repair"):
-            _repair(learnt, series)
+            _repair(replace(learnt, observation=observation), series)
     if tools.settings.texture_weight > 0 and tools.settings.refine:
         with part("texture"):
             settle_on_texture(clip, series)
@@ -302,6 +317,7 @@ def _repair(clip: PersonClip, series: FrameSeries) -> None:
     """Carry limbs over jumps between frames that follow each other, in place, with the colours that are known now."""
     tools = clip.observation.tools
 
+    @lru_cache(_KEPT_FRAMES)
     def evidence_of(row: int) -> FrameEvidence | None:
         prepared = clip.observation.prepare(int(clip.frames[row]))
         return None if prepared is None else clip.observation.evidence(prepared)

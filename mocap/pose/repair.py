@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, landmarks_of
 from mocap.pose.evidence import FrameEvidence
-from mocap.pose.limbs import Limb, legs_of, limbs_with_landmarks
+from mocap.pose.limbs import Limb, arms_of, legs_of, limbs_with_landmarks
 from mocap.pose.method import RepairSettings
 
 Array = NDArray[np.float64]
@@ -28,10 +28,7 @@ def repair_limbs(
     states : (T, D), consecutive frames.  evidence_of : row -> what poses are judged by there, or None where nothing is
     seen.
     """
-    legs = legs_of(body)
-    # Legs that have changed places come back together or not at all.
-    groups = [*([legs] if legs else []), *((limb,) for limb in limbs_with_landmarks(body))]
-    furthest_m = settings.jump_m + settings.fast_m_s / fps
+    groups, limits_m = _watched(body, settings, fps)
     found: dict[int, Array] = {}
     current = states.copy()
     for step in (-1, 1):
@@ -40,13 +37,27 @@ def repair_limbs(
         gaps[:, rows] = _gaps(body, current[rows], current[rows + step], groups)
         for row in rows.tolist():
             for k, group in enumerate(groups):
-                if gaps[k, row] < furthest_m:
+                if gaps[k, row] < limits_m[k]:
                     continue
                 for at, state in carried(body, current, row, step, group, evidence_of, settings):
                     current[at] = found[at] = state
                     beside = rows[(rows == at) | (rows == at - step)]
                     gaps[:, beside] = _gaps(body, current[beside], current[beside + step], groups)
     return found
+
+
+def _watched(body: Body, settings: RepairSettings, fps: float) -> tuple[list[Sequence[Limb]], list[float]]:
+    """Limbs that may jump, some of them together, and how far each moves in a frame at most, m."""
+    legs, arms = legs_of(body), arms_of(body, with_hands=False) or ()
+    others = [
+        limb for limb in limbs_with_landmarks(body) if all(limb.columns[0] != arm.columns[0] for arm in arms)
+    ]
+    # Legs that have changed places come back together or not at all.
+    groups: list[Sequence[Limb]] = [*([legs] if legs else []), *((limb,) for limb in others)]
+    fast_m = settings.fast_m_s / fps
+    limits = [settings.jump_m + fast_m] * len(groups)
+    # A foot swings, and its toes swing further; elbows and wrists seldom are as fast, and are lost most often.
+    return [*groups, *((arm,) for arm in arms)], [*limits, *[fast_m] * len(arms)]
 
 
 def carried(

@@ -589,6 +589,12 @@ class VolumeObservation:
         """The same, with colours that are learnt while the person is followed."""
         return replace(self, appearance=new_appearance(self.tools.body))
 
+    def knowing(self, counts: NDArray[np.float32]) -> VolumeObservation:
+        """The same with more known of the person's colours, counted as in `Appearance`; without colours the same."""
+        if self.appearance is None:
+            return self
+        return replace(self, appearance=replace(self.appearance, counts=self.appearance.counts + counts))
+
     def with_tools(self, tools: VolumeTools) -> VolumeObservation:
         """The same hulls judged by other tools, without colours."""
         return replace(self, tools=tools, appearance=None)
