@@ -16,6 +16,7 @@ from mocap.pose.volume import VolumeEvidence, VolumeTools
 FPS = 25.0
 N_FRAMES = 9
 CLOSE_M = 0.04  # a voxel of 4 cm
+FAST_M = RepairSettings().fast_m_s / FPS
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +68,42 @@ def test_a_lost_arm_is_carried_over_from_the_frames_beside(  # type: ignore[no-u
     assert worst_m(tools, states, truth) < CLOSE_M
 
 
-def test_a_smooth_motion_is_left_alone(tools: VolumeTools, truth: np.ndarray) -> None:
-    def never(row: int) -> VolumeEvidence:
-        raise AssertionError("no frame need be looked at")
+def moved(tools: VolumeTools, truth: np.ndarray, column: str, angles_rad: np.ndarray) -> np.ndarray:
+    """The same with one joint turned by an angle in every frame."""
+    states = truth.copy()
+    states[:, tools.body.layout.names.index(column)] += angles_rad
+    return states
 
+
+def largest_move_m(tools: VolumeTools, states: np.ndarray, landmark: str) -> float:
+    places = landmarks_of(tools.body, states)[:, tools.body.landmarks.index(landmark)]
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).max())
+
+
+def test_an_arm_that_slips_a_little_is_carried_over_too(  # type: ignore[no-untyped-def]
+    tools: VolumeTools, truth: np.ndarray, frame_of
+) -> None:
+    slipped = moved(tools, truth, "left_shoulder_x", 0.4 * (np.abs(np.arange(N_FRAMES) - 4) < 2))
+    jump_m = largest_move_m(tools, slipped, "left_wrist")
+    assert FAST_M < jump_m < FAST_M + RepairSettings().jump_m
+    found = repair_limbs(tools.body, slipped, FPS, frame_of, RepairSettings())
+    assert {3, 4, 5} <= set(found)
+    for row, state in found.items():
+        slipped[row] = state
+    assert worst_m(tools, slipped, truth) < CLOSE_M
+
+
+def never(row: int) -> VolumeEvidence:
+    raise AssertionError("no frame need be looked at")
+
+
+def test_a_foot_may_swing_as_far(tools: VolumeTools, truth: np.ndarray) -> None:
+    kick = moved(tools, truth, "left_hip_y", -0.25 * np.arange(N_FRAMES))
+    assert FAST_M < largest_move_m(tools, kick, "left_ankle") < FAST_M + RepairSettings().jump_m
+    assert repair_limbs(tools.body, kick, FPS, never, RepairSettings()) == {}
+
+
+def test_a_smooth_motion_is_left_alone(tools: VolumeTools, truth: np.ndarray) -> None:
     assert repair_limbs(tools.body, truth, FPS, never, RepairSettings()) == {}
 
 
