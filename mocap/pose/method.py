@@ -273,7 +273,8 @@ class RepairSettings(_Strict):
     """Limbs that jump from one frame to the next: what was known on one side is carried to the other."""
 
     jump_m: float = 0.15
-    """A jump is a move by this much beyond what a limb may move in a frame; of an elbow or a wrist, any move beyond."""
+    """A jump is a move by this much beyond what a limb may move in a frame; an elbow or a wrist has jumped when it has
+    moved further than that."""
     fast_m_s: float = 3.0
     """What a limb may move."""
     same_m: float = 0.08
