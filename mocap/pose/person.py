@@ -283,9 +283,7 @@ def _followed(
 ) -> FrameSeries:
     """The poses of all frames, from the first one to the end and back to the beginning, repaired where that is set."""
     tools = clip.observation.tools
-    series = FrameSeries.of_length(len(clip), tools.body)
-
-    appearance = clip.observation.appearance
+    series, appearance = FrameSeries.of_length(len(clip), tools.body), clip.observation.appearance
     of_way_back = shared_zeros((0,) if appearance is None else appearance.counts.shape, np.float32)
 
     def take(pose: FramePose) -> None:
