@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flesh_voxels import Flesh
 
-from mocap.body import landmarks_of, neutral_state
+from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose.method import RepairSettings
@@ -101,6 +101,15 @@ def test_a_foot_may_swing_as_far(tools: VolumeTools, truth: np.ndarray) -> None:
     kick = moved(tools, truth, "left_hip_y", -0.25 * np.arange(N_FRAMES))
     assert FAST_M < largest_move_m(tools, kick, "left_ankle") < FAST_M + RepairSettings().jump_m
     assert repair_limbs(tools.body, kick, FPS, never, RepairSettings()) == {}
+
+
+def test_a_hand_may_flap_about_its_wrist() -> None:
+    body = scale_body(load_body_model("whole"), 1.7)
+    states = np.tile(neutral_state(body), (N_FRAMES, 1))
+    states[:, body.layout.names.index("left_wrist_z")] = np.where(np.arange(N_FRAMES) % 2, 0.5, -0.5)
+    tip = landmarks_of(body, states)[:, body.landmarks.index("left_hand_tip")]
+    assert np.linalg.norm(np.diff(tip, axis=0), axis=1).min() > FAST_M
+    assert repair_limbs(body, states, FPS, never, RepairSettings()) == {}
 
 
 def test_a_smooth_motion_is_left_alone(tools: VolumeTools, truth: np.ndarray) -> None:
