@@ -40,6 +40,7 @@ from mocap.threads import worker_threads
 
 Array = NDArray[np.float64]
 T_co = TypeVar("T_co", covariant=True)
+Clip = TypeVar("Clip", bound=PersonClip)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,14 +205,14 @@ def follow_pose(
 
 
 def follow_both_ways(
-    clip: PersonClip,
+    clip: Clip,
     first: FirstPose,
     *,
     seed: int,
     take: Callable[[FramePose], None],
-    leave: Callable[[PersonClip], None] | None = None,
+    leave: Callable[[Clip], None] | None = None,
     progress: Callable[[int], None] | None = None,
-) -> PersonClip:
+) -> Clip:
     """Every frame of a clip once, from the first pose to the end and back to the beginning, as `follow_pose`; both ways
     at once, in two processes, where there are threads for it.
 
@@ -244,7 +245,7 @@ def follow_both_ways(
     return later
 
 
-def on_threads(clip: PersonClip, n_threads: int) -> PersonClip:
+def on_threads(clip: Clip, n_threads: int) -> Clip:
     """The same clip for somebody who follows it on so many threads: what its observation learns is his own."""
     observation: Any = clip.observation  # a data class, whatever it observes
     tools = replace(observation.tools, n_threads=n_threads)

@@ -289,14 +289,12 @@ def _followed(
     def take(pose: FramePose) -> None:
         note(series, pose.row, pose, tools)
 
-    def leave(back: PersonClip) -> None:
-        assert isinstance(back.observation, VolumeObservation)
+    def leave(back: VolumeClip) -> None:
         if back.observation.appearance is not None:
             of_way_back[:] = back.observation.appearance.counts
 
     learnt = follow_both_ways(clip, first, seed=seed, take=take, leave=leave, progress=progress)
     if tools.settings.repair and tools.settings.refine:
-        assert isinstance(learnt.observation, VolumeObservation)
         # Where a limb was lost it has taught its own colours; on the other way it had its own place.
         observation = learnt.observation.knowing(of_way_back)
         with part("repair"):

@@ -28,7 +28,8 @@ def repair_limbs(
     states : (T, D), consecutive frames.  evidence_of : row -> what poses are judged by there, or None where nothing is
     seen.
     """
-    groups, limits_m = _watched(body, settings, fps)
+    watched = _watched(body, settings, fps)
+    groups = [group for group, _ in watched]
     found: dict[int, Array] = {}
     current = states.copy()
     for step in (-1, 1):
@@ -36,8 +37,8 @@ def repair_limbs(
         gaps = np.zeros((len(groups), len(states)))
         gaps[:, rows] = _gaps(body, current[rows], current[rows + step], groups)
         for row in rows.tolist():
-            for k, group in enumerate(groups):
-                if gaps[k, row] < limits_m[k]:
+            for k, (group, limit_m) in enumerate(watched):
+                if gaps[k, row] < limit_m:
                     continue
                 for at, state in carried(body, current, row, step, group, evidence_of, settings):
                     current[at] = found[at] = state
@@ -46,18 +47,17 @@ def repair_limbs(
     return found
 
 
-def _watched(body: Body, settings: RepairSettings, fps: float) -> tuple[list[Sequence[Limb]], list[float]]:
-    """Limbs that may jump, some of them together, and how far each moves in a frame at most, m."""
+def _watched(body: Body, settings: RepairSettings, fps: float) -> list[tuple[Sequence[Limb], float]]:
+    """Limbs that may jump, some of them together, each with how far it moves in a frame at most, m."""
     legs, arms = legs_of(body), arms_of(body, with_hands=False) or ()
     others = [
         limb for limb in limbs_with_landmarks(body) if all(limb.columns[0] != arm.columns[0] for arm in arms)
     ]
     # Legs that have changed places come back together or not at all.
-    groups: list[Sequence[Limb]] = [*([legs] if legs else []), *((limb,) for limb in others)]
-    fast_m = settings.fast_m_s / fps
-    limits = [settings.jump_m + fast_m] * len(groups)
+    swinging: list[Sequence[Limb]] = [*([legs] if legs else []), *((limb,) for limb in others)]
     # A foot swings, and its toes swing further; elbows and wrists seldom are as fast, and are lost most often.
-    return [*groups, *((arm,) for arm in arms)], [*limits, *[fast_m] * len(arms)]
+    fast_m = settings.fast_m_s / fps
+    return [*((group, settings.jump_m + fast_m) for group in swinging), *(((arm,), fast_m) for arm in arms)]
 
 
 def carried(

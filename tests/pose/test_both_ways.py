@@ -31,7 +31,7 @@ def clip(coarse_flesh: Flesh) -> VolumeClip:
     state[2], state[names.index("right_shoulder_x")], state[names.index("left_shoulder_x")] = 1.0, 0.6, -0.6
     whole = replace(coarse_flesh.hull(state), rays=lambda: rays_at(coarse_flesh, state, seed=3))
     parts = coarse_flesh.body.layout.parts
-    legs = tuple(k for k, name in enumerate(parts) if "thigh" in name or "shank" in name or "foot" in name)
+    legs = tuple(k for k, name in enumerate(parts) if "thigh" in name or "shank" in name)
     legless = replace(coarse_flesh.hull(state, without=legs), rays=whole.rays)
 
     def hull_of(frame: int) -> PersonHull:
