@@ -79,6 +79,9 @@ class StartSettings(_Strict):
     window_s: float = 2.0
     """Seconds in the middle of a person's frames in which the first pose is looked for: from there a clip is followed
     to both ends side by side."""
+    standing_share: float = 0.95
+    """Of the height: somebody stands whose head is higher. Where he does not in the middle, it is looked for at the
+    nearest time at which he does."""
     n_directions: int = 16
     """Directions that each kind of pose is tried in."""
     n_copies: int = 8

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
-from mocap.body.initial import HeightEstimate
+from mocap.body.initial import HeightEstimate, head_top
 from mocap.forks import in_processes, shared_zeros
 from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
 from mocap.pose.evidence import FrameEvidence, PersonClip
@@ -84,7 +84,8 @@ def start_person(
     n_first = affordable_first_poses(numbers, factor * tools.settings.n_first_poses, n_frames)
     searching = replace(tools, settings=replace(tools.settings, n_first_poses=n_first))
     with part("first poses"):
-        search, tried = _most_promising(clip.with_tools(searching), usable, seed=seed)
+        rows = _where_to_start(clip, usable, height)
+        search, tried = _most_promising(clip.with_tools(searching), rows, seed=seed)
     evidence = search.evidence
     assert isinstance(evidence, VolumeEvidence)  # the clip is one of volumes
     is_crowded = evidence.is_crowded(tried[0].state)
@@ -115,17 +116,47 @@ def _search_at(clip: VolumeClip, row: int) -> PoseSearch:
     return PoseSearch(clip.observation.evidence(prepared), frame, velocity)
 
 
+def _where_to_start(clip: VolumeClip, usable: Sequence[int], height: HeightEstimate) -> list[int]:
+    """Rows in which a first pose is looked for: some of those around the middle of the clip, or around the row nearest
+    to it in which the person stands.
+
+    Who sits or crouches says less of how large he is.
+    """
+    observation, settings = clip.observation, clip.observation.tools.settings
+    numbers, frames, grid = settings.method.start, clip.frames, observation.tools.grid
+
+    def stands(row: int) -> bool:
+        hull = observation.hull_of(int(frames[row])) if height.is_measured else None
+        if hull is None:
+            return False
+        top_m = head_top(grid.centers(hull.voxels), grid.voxel_size_m)
+        return top_m > numbers.standing_share * height.height_m
+
+    middle = usable[len(usable) // 2]
+    by_nearness = sorted(
+        _spread(usable, numbers.height_frames), key=lambda row: abs(frames[row] - frames[middle])
+    )
+    around = next(filter(stands, [middle, *by_nearness]), middle)
+    reach = 0.5 * numbers.window_s * observation.tools.fps
+    window = [row for row in usable if abs(frames[row] - frames[around]) <= reach]
+    rows = _spread(window, settings.n_start_frames)
+    if not all(map(stands, rows)):
+        rows = _spread(list(filter(stands, window)) or window, settings.n_start_frames)
+    return rows
+
+
+def _spread(rows: Sequence[int], n: int) -> list[int]:
+    """At most n of the rows, evenly spread."""
+    return [rows[k] for k in np.unique(np.linspace(0, len(rows) - 1, n).astype(int))]
+
+
 def _most_promising(
-    clip: VolumeClip, usable: Sequence[int], *, seed: int
+    clip: VolumeClip, rows: Sequence[int], *, seed: int
 ) -> tuple[PoseSearch, list[FirstPose]]:
-    """The frame in the middle of the clip in which a first pose promises most, with the poses tried there."""
-    settings, fps = clip.observation.tools.settings, clip.observation.tools.fps
-    middle, reach = clip.frames[usable[len(usable) // 2]], 0.5 * settings.method.start.window_s * fps
-    window = [i for i in usable if abs(clip.frames[i] - middle) <= reach]
-    picks = np.unique(np.linspace(0, len(window) - 1, settings.n_start_frames).astype(int))
+    """That of some rows in which a first pose promises most, with the poses tried there."""
     searches = []
-    for i in (window[p] for p in picks):
-        search = _search_at(clip, i)
+    for row in rows:
+        search = _search_at(clip, row)
         rng = rng_for(seed, "first-pose", clip.person, search.frame)
         searches.append((search, try_first_poses(search, rng=rng)))
     return max(searches, key=lambda entry: entry[1][0].log_likelihood)
@@ -213,8 +244,8 @@ def follow_frames(
     """One person over the frames of its track, followed and repaired.
 
     clip : the person's track and hulls, with a body of the given height in its tools.
-    The first pose is looked for in a few frames in the middle; the filter runs from the best of them to the end, and
-    back to the beginning.
+    The first pose is looked for in a few frames in the middle, or as near to it as the person stands; the filter runs
+    from the best of them to the end, and back to the beginning.
     is_size_fitted : `height` is only the highest place of the head; the size is fitted to some frames around the first
     pose, and the height changes with it.
     Raises ValueError when no frame has a usable hull.
