@@ -219,7 +219,7 @@ class PoseConfig(_Section):
     smooth_lag_frames: int = Field(default=0, ge=0, le=1000)
     """Later frames that a frame's pose is smoothed with, after all poses are found; 0 = not smoothed."""
     n_start_frames: int = Field(default=3, ge=1)
-    """Frames in the middle of a person's clip in which the first pose is looked for."""
+    """Frames in the middle of a person's clip, or as near to it as he stands, in which the first pose is looked for."""
     n_first_poses: int = Field(default=8, ge=1)
     """Candidates that are followed to the end in each of them; four times as many are followed briefly."""
 

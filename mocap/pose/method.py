@@ -80,8 +80,8 @@ class StartSettings(_Strict):
     """Seconds in the middle of a person's frames in which the first pose is looked for: from there a clip is followed
     to both ends side by side."""
     standing_share: float = 0.95
-    """Of the height: somebody stands whose head is higher. Where he does not in the middle, it is looked for at the
-    nearest time at which he does."""
+    """Somebody stands whose head is above this share of his height. Who does not in the middle is looked at when he
+    does: who sits says less of how large he is, and a chair may be one with him (decision 92)."""
     n_directions: int = 16
     """Directions that each kind of pose is tried in."""
     n_copies: int = 8

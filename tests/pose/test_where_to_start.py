@@ -47,6 +47,13 @@ MEASURED = HeightEstimate(HEIGHT_M, is_measured=True)
 
 def test_who_stands_is_looked_at_in_the_middle() -> None:
     assert rows_for(range(0), height=MEASURED) == [40, 50, 60]
+    # Sixty rows are spread over these, and the middle is none of them.
+    assert rows_for(range(0), height=MEASURED, frames=np.arange(121)) == [50, 60, 70]
+
+
+def test_two_seconds_are_two_seconds_where_frames_are_missing() -> None:
+    frames = np.concatenate([np.arange(45), np.arange(60, 116)])
+    assert rows_for(range(0), height=MEASURED, frames=frames) == [45, 52, 60]
 
 
 @pytest.mark.parametrize(
