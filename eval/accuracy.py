@@ -15,7 +15,7 @@ order, forwards and backwards), which needs no seed. A row per person, method an
 
 Writes eval/results/accuracy.csv, whole, and its table into docs/accuracy.md, when all sessions are run with all
 methods.
-Rows in WORK/accuracy are kept; --again makes them anew.
+Rows in WORK/accuracy are kept for the same program; --again makes them anew.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ landmarks:
     nats                by how much hull and outlines prefer their own minimum to the true pose
 
 Writes eval/results/error_budget.csv, whole, when all sessions are run with both presets. Rows that are in WORK/budget
-already are taken from there; --again makes them anew.
+already, of the same program, are taken from there; --again makes them anew.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@
 Sessions are five synthetic scenes (`eval.evidence_scenes`) and the realistic development sessions in
 ../shared/dev_sessions with the detections of MediaPipe that lie beside them; fewer cameras are those of the ring that
 stand far apart. All tables have five seeds: another one is another scene, or other random numbers in the same
-development session. A row that was measured once is kept in --work and read from there, so that
-the table can be made in many calls; a new version of the program wants a new --work. A table of eval/results/ is
+development session. A row that the same program has measured is kept in --work and read from there, so that
+the table can be made in many calls. A table of eval/results/ is
 written, whole, when all its rows are there: evidence.csv of the scenes, keypoints.csv and keypoints_fused.csv of the
 development sessions.
 
@@ -31,7 +31,7 @@ import numpy as np
 
 from eval.evidence_scenes import SCENES, scene_folder
 from eval.triangulation import triangulated
-from eval.whole import write_csv, write_text
+from eval.whole import of_this_program, write_csv, write_text
 from mocap.arrays import Array
 from mocap.data import LANDMARKS, Motion
 from mocap.io.calibration import read_calibration
@@ -190,7 +190,8 @@ def _errors(estimate: Motion, truth: Motion) -> tuple[Array, Array]:
 
 def kept_row(case: Case, work: Path) -> Path:
     """Where the row of a case is kept."""
-    return work / "rows" / f"{case.session}_{case.cameras}_{case.method}_{case.seed}.json"
+    name = f"{case.session}_{case.cameras}_{case.method}_{case.seed}.json"
+    return of_this_program(work / "rows" / name)
 
 
 def row_of(case: Case, work: Path) -> dict[str, Any]:

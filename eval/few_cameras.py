@@ -105,8 +105,7 @@ def row_of(session: Path, words: str, names: tuple[str, ...], work: Path, seed: 
     """One run and what was foreseen of it."""
     fewer = some_cameras(session, names, work)
     out = work / "runs" / (fewer.name if seed == 0 else f"{fewer.name}-seed-{seed}")
-    if not (out / "run.json").exists():
-        run_session(fewer, out, config=load_config("default", ("output.formats=[]",)), seed=seed)
+    run_session(fewer, out, config=load_config("default", ("output.formats=[]",)), seed=seed, resume=True)
     scores = compare(out, session, CompareOptions()).scores
     return {
         "session": session.name,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocap.io.formats._writing import replacing
+from mocap.pipeline.reach import code_hash
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,14 +41,20 @@ def write_text(path: Path, text: str) -> None:
 def kept_rows(
     path: Path, fields: Sequence[str], make: Callable[[], Iterable[Mapping[str, Any]]], *, again: bool
 ) -> list[dict[str, str]]:
-    """Rows of an earlier call, or new ones, which are kept and told.  again : make them anew."""
-    if again or not path.exists():
-        write_csv(path, fields, make())
-    with path.open(encoding="utf-8", newline="") as stream:
+    """Rows of an earlier call of the same program, or new ones, which are kept and told.  again : make them anew."""
+    kept = of_this_program(path)
+    if again or not kept.exists():
+        write_csv(kept, fields, make())
+    with kept.open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     sys.stdout.write("\n".join(" ".join(f"{k}={v}" for k, v in row.items()) for row in rows) + "\n")
     sys.stdout.flush()
     return rows
+
+
+def of_this_program(path: Path) -> Path:
+    """Where is kept what the package as it is has found: rows of two versions must not meet in a table."""
+    return path.with_stem(f"{path.stem}-{code_hash()}")
 
 
 def with_table(page: str, name: str, table: str) -> str:

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from eval import whole
 from eval.ddma_lost_limbs import FILTERS as LOST_LIMB_FILTERS
 from eval.hull_clips import MASKS
 from eval.shbm_against_apf import FILTERS as STRUCTURAL_FILTERS
-from eval.whole import write_csv, write_text
+from eval.whole import kept_rows, write_csv, write_text
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "eval" / "results"
@@ -39,6 +40,21 @@ def test_what_breaks_off_leaves_the_file_as_it_was(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
     write_text(path, "new")
     assert path.read_text() == "new"
+
+
+def test_rows_are_kept_for_the_program_that_made_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = iter(range(10))
+
+    def found(*, again: bool = False) -> str:
+        return kept_rows(tmp_path / "rows.csv", ("a",), lambda: [{"a": next(made)}], again=again)[0]["a"]
+
+    assert [found(), found(), found(again=True), found()] == ["0", "0", "1", "1"]
+    monkeypatch.setattr(whole, "code_hash", lambda: "another")
+    assert [found(), found()] == ["2", "2"]
+    monkeypatch.undo()
+    assert found() == "1"
 
 
 def test_studies_write_in_no_other_way() -> None:
