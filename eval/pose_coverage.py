@@ -7,7 +7,7 @@ sessions instead), prints coverage per session and per kind of landmark, and err
 smoothing. Writes eval/results/pose_coverage.csv and a reliability diagram, eval/results/pose_coverage.png. With --fit
 it prints the share of deviations that is left where poses are settled on a texture, `DeviationSettings.settled`; with
 `realtime`, which settles none, the constants `UNCERTAINTY` of mocap/pose/method.py that hold 90 % of persons they were
-not fitted to. Poses are kept in WORK/coverage; --again makes them anew.
+not fitted to. Poses are kept in WORK/coverage for the same program; --again makes them anew.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from eval.pose_ablation import prepare
 from eval.pose_sessions import DEV, ROOT
 from eval.whole import save_figure, write_csv
+from mocap.pipeline.reach import code_hash
 
 RESULTS = ROOT / "eval" / "results" / "pose_coverage.csv"
 PICTURE = ROOT / "eval" / "results" / "pose_coverage.png"
@@ -89,9 +90,14 @@ class Claims:
     fps: Array
 
 
+def kept_in(work: Path) -> Path:
+    """Where poses are kept: what two versions of the program claim must not meet in a figure."""
+    return work / "coverage" / code_hash()
+
+
 def claims_of(preset: str, name: str, seed: int, work: Path, *, again: bool) -> Claims:
-    """The poses of one session and seed, from WORK/coverage or made now."""
-    path = work / "coverage" / preset / f"{name.replace(':', '_')}_{seed}.npz"
+    """The poses of one session and seed, kept or made now."""
+    path = kept_in(work) / preset / f"{name.replace(':', '_')}_{seed}.npz"
     if again or not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(path, **_measured(preset, name, seed, work))
@@ -416,7 +422,7 @@ def main() -> None:
             kept = [r for r in csv.DictReader(stream) if (r["set"], r["preset"]) != new]
     write_csv(RESULTS, FIELDS, [*kept, *(row_of(c, which) for c in found)])
     groups: dict[str, list[Claims]] = {}
-    for path in sorted((arguments.work / "coverage").glob("*/*.npz")):
+    for path in sorted(kept_in(arguments.work).glob("*/*.npz")):
         stem, _, seed_text = path.stem.rpartition("_")
         name = stem.replace("dev_", "dev:", 1)
         held_out = name in TEST or name.removeprefix("dev:") in DEV_TEST
