@@ -6,10 +6,9 @@
 Sessions are five synthetic scenes (`eval.evidence_scenes`) and the realistic development sessions in
 ../shared/dev_sessions with the detections of MediaPipe that lie beside them; fewer cameras are those of the ring that
 stand far apart. All tables have five seeds: another one is another scene, or other random numbers in the same
-development session. A row that the same program has measured is kept in --work and read from there, so that
-the table can be made in many calls. A table of eval/results/ is
-written, whole, when all its rows are there: evidence.csv of the scenes, keypoints.csv and keypoints_fused.csv of the
-development sessions.
+development session. A row that the same program has measured is kept in --work and read from there, so that the table
+can be made in many calls. A table of eval/results/ is written, whole, when all its rows are there: evidence.csv of the
+scenes, keypoints.csv and keypoints_fused.csv of the development sessions.
 
 No number was chosen on these sessions: places and deviations of keypoints come from `steps` and `furnished`
 (`python -m eval.keypoint_places`). Time is that of one core for a whole run up to the poses, the start of the program
