@@ -8,6 +8,7 @@ from flesh_voxels import Flesh
 
 from mocap.body import Body, cones_of, joint_transforms, neutral_state
 from mocap.body._kernels import chain_axes
+from mocap.filters.refine import RefineSettings, refine
 from mocap.likelihood.residuals import HullSurface, SurfaceFitSettings, SurfaceProblem, hull_surface
 from mocap.likelihood.residuals._pull_kernels import from_axis
 from mocap.likelihood.voxels import PackedVolume
@@ -178,6 +179,75 @@ def test_penetration_of_two_arms_pushes_both(coarse_flesh: Flesh) -> None:
     np.testing.assert_allclose(g, expected, atol=1e-4 * np.abs(expected).max())
 
 
+def _sunk(body: Body, depth_m: float) -> np.ndarray:
+    """A bent body whose lowest flesh lies so far below the floor."""
+    state = bent(body)
+    state[2] -= _lowest(body, state) + depth_m
+    return state
+
+
+def _lowest(body: Body, state: np.ndarray) -> float:
+    start, end = cones_of(body, state)
+    return float(
+        min((start[:, 2] - body.cones.radii[:, 0]).min(), (end[:, 2] - body.cones.radii[:, 1]).min())
+    )
+
+
+def test_gradient_of_the_floor_is_the_derivative_of_the_cost(coarse_flesh: Flesh) -> None:
+    body = coarse_flesh.body
+    state = _sunk(body, 0.03)
+    nothing = HullSurface(np.full((1, 3), 50.0), np.eye(3)[:1], empty_volume(coarse_flesh, True))
+    with_it, without = (
+        SurfaceProblem(
+            body,
+            coarse_flesh.table,
+            nothing,
+            SurfaceFitSettings(flesh_gain=0.0, penetration_gain=0.0, floor_gain=gain),
+        )
+        for gain in (10.0, 0.0)
+    )
+    g = with_it.normal_equations(state)[2] - without.normal_equations(state)[2]
+    expected = finite_differences(with_it, state) - finite_differences(without, state)
+    assert np.abs(expected).max() > 0.05
+    np.testing.assert_allclose(g, expected, atol=1e-5 * np.abs(expected).max())
+    # Sideways and about the vertical the floor is all the same.
+    still = [body.layout.names.index(name) for name in ("root_x", "root_y", "root_yaw")]
+    np.testing.assert_allclose(g[still], 0.0, atol=1e-12)
+
+
+def test_flesh_above_the_floor_is_left_alone(coarse_flesh: Flesh) -> None:
+    body, state = coarse_flesh.body, _sunk(coarse_flesh.body, -0.001)
+    points, normals = shell(body, state, 0.02, 0.02)
+    hull = HullSurface(points, normals, empty_volume(coarse_flesh, True))
+    found = [
+        SurfaceProblem(body, coarse_flesh.table, hull, SurfaceFitSettings(floor_gain=gain)).normal_equations(
+            state
+        )
+        for gain in (0.2, 0.0)
+    ]
+    for a, b in zip(*found, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(("depth_m", "least_m", "most_m"), [(0.03, -0.015, 0.0), (0.5, -0.51, -0.42)])
+def test_a_hull_below_the_floor_keeps_nobody_there(
+    coarse_flesh: Flesh, depth_m: float, least_m: float, most_m: float
+) -> None:
+    """Shadows under soles lengthen a hull; but a floor that is half a metre off has little say."""
+    body = coarse_flesh.body
+    state = _sunk(body, depth_m)
+    points, normals = shell(body, state, 0.02, 0.0)
+    problem = SurfaceProblem(
+        body,
+        coarse_flesh.table,
+        HullSurface(points, normals, empty_volume(coarse_flesh, True)),
+        SurfaceFitSettings(n_hull_points=10_000, flesh_gain=0.0),
+    )
+    std = np.where(np.arange(len(state)) < 3, 0.1, 0.5)
+    found, _ = refine(problem, state, RefineSettings(prior_std=std))
+    assert least_m < _lowest(body, found) <= most_m
+
+
 def test_beyond_its_ends_an_axis_is_its_end() -> None:
     start, end = np.zeros((1, 3)), np.array([[0.0, 0.0, 2.0]])
     for at, expected in (
@@ -197,7 +267,7 @@ def test_residuals_of_zero_leave_nothing_to_do(coarse_flesh: Flesh) -> None:
         body,
         coarse_flesh.table,
         HullSurface(points, normals, empty_volume(coarse_flesh, True)),
-        SurfaceFitSettings(n_hull_points=10_000, flesh_gain=0.0, penetration_gain=0.0),
+        SurfaceFitSettings(n_hull_points=10_000, flesh_gain=0.0, penetration_gain=0.0, floor_gain=0.0),
     )
     cost, _, g = problem.normal_equations(state)
     assert cost == pytest.approx(0.0, abs=1e-12)

@@ -64,6 +64,8 @@ class SurfacePull(NamedTuple):
     flesh_scale_m: float
     flesh_gain: float
     penetration_gain: float
+    floor_scale_m: float
+    floor_gain: float
 
 
 class SurfaceTerms(NamedTuple):
@@ -224,6 +226,22 @@ def body_to_hull(flesh, flesh_joint, surface, pulls):
 
 
 @njit(cache=True, nogil=True)
+def body_to_floor(placed, cones, pull, pulls):
+    """Lift the flesh at the ends of cones that lie below the floor, z = 0; returns the robust cost."""
+    radii, cone_joint = cones.radii, cones.joint
+    cost = 0.0
+    for i in range(2 * radii.shape[0]):
+        k, end = i // 2, i % 2
+        axis = placed.end if end else placed.start
+        height = axis[k, 2] - radii[k, end]
+        if height < 0.0:
+            loss, weight = robust_loss(height, pull.floor_scale_m, pull.floor_gain)
+            cost += loss
+            add_pull((axis[k, 0], axis[k, 1], height), (0.0, 0.0, 1.0), height, weight, cone_joint[k], pulls)
+    return cost
+
+
+@njit(cache=True, nogil=True)
 def surface_equations(state, body, surface, H, g):
     """Robust cost of a state (D,); adds its normal equations to H (D, D) and g (D,).
 
@@ -234,6 +252,7 @@ def surface_equations(state, body, surface, H, g):
     pulls = np.zeros((placed.t.shape[0], 7, 6))
     cost = hull_to_body(surface.hull, placed, body.cones, surface.pull, pulls)
     cost += body_to_hull(placed.flesh, joint, surface, pulls)
+    cost += body_to_floor(placed, body.cones, surface.pull, pulls)
     gain = surface.pull.penetration_gain
     if gain > 0.0:
         cost += self_penetration(placed, joint, surface.may_meet, body, gain, H, g)

@@ -54,6 +54,12 @@ class SurfaceFitSettings:
     outside the body where few cameras see it. Chosen on depth_walk and depth_gesture (`python -m eval.depth`)."""
     penetration_gain: float = 1.0
     """Total weight of flesh points inside other parts against that of the hull points."""
+    floor_gain: float = 0.2
+    """Weight of an end of a cone below the floor against that of the hull points: the floor and a sole, which stand
+    nowhere but on it, are known to 7 mm ([decision 93](docs/decisions/0093-nobody-stands-below-the-floor.md))."""
+    floor_scale_m: float = 0.05
+    """Depth at which the floor loses three quarters of its pull: of a calibration whose floor is elsewhere it says
+    nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +139,8 @@ class SurfaceProblem:
     """Robust distance of a body to one frame's hull: `normal_equations(state)` for the refinement.
 
     Hull surface points pull the nearest flesh whose normal agrees; flesh points in empty voxels are pulled to the
-    nearest hull point; flesh points inside another part are pushed out of it. The hull contains the body, so its
-    surface lies outside the flesh: half a voxel is allowed for.
+    nearest hull point; flesh points inside another part are pushed out of it, and flesh below the floor is lifted.
+    The hull contains the body, so its surface lies outside the flesh: half a voxel is allowed for.
     """
 
     body: Body
@@ -189,6 +195,8 @@ class SurfaceProblem:
                 flesh_scale_m=settings.flesh_scale_m,
                 flesh_gain=settings.flesh_gain * per_flesh,
                 penetration_gain=settings.penetration_gain * per_flesh,
+                floor_scale_m=settings.floor_scale_m,
+                floor_gain=settings.floor_gain * len(self._points),
             ),
         )
 
