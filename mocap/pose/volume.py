@@ -223,6 +223,11 @@ class VolumeTools(PersonTools):
         """The tools with a body of another size.  girth : factor of the radii, None = as the lengths."""
         return self.with_body(resize_body(self.body, factor, factor if girth is None else girth))
 
+    @property
+    def without_floor(self) -> VolumeTools:
+        """The tools for a floor that has no say."""
+        return replace(self, surface_fit=replace(self.surface_fit, floor_gain=0.0))
+
     def with_body(self, body: Body) -> VolumeTools:
         """The tools with another body."""
         table = build_look_up_table(body, self.grid.voxel_size_m * self.settings.table_density)
@@ -337,17 +342,17 @@ class VolumeEvidence:
         return replace(self, tools=tools, voxels=replace(self.voxels, n_threads=1))
 
     def with_tools(self, tools: VolumeTools) -> VolumeEvidence:
-        """The same frame judged with another body, without colours."""
+        """The same frame judged by other tools, another body for instance, without colours."""
         body, table = tools.body, tools.table
         old = self.voxels
         return VolumeEvidence(
             tools=tools,
             hull=self.hull,
             voxels=VoxelProblem(body, table, old.volume, old.settings, n_threads=old.n_threads),
-            surface=SurfaceProblem(body, table, self.surface.hull, self.surface.settings),
+            surface=SurfaceProblem(body, table, self.surface.hull, tools.surface_fit),
             outlines=None
             if self.outlines is None
-            else OutlineProblem(body, table, self.outlines.outlines, self.outlines.settings),
+            else OutlineProblem(body, table, self.outlines.outlines, tools.outline_fit),
         )
 
     def log_likelihood(self, states: Sequence[Array] | Array) -> Array:
