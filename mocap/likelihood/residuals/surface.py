@@ -54,9 +54,9 @@ class SurfaceFitSettings:
     outside the body where few cameras see it. Chosen on depth_walk and depth_gesture (`python -m eval.depth`)."""
     penetration_gain: float = 1.0
     """Total weight of flesh points inside other parts against that of the hull points."""
-    floor_gain: float = 0.2
-    """Weight of an end of a cone below the floor against that of the hull points: the floor and a sole, which stand
-    nowhere but on it, are known to 7 mm ([decision 93](docs/decisions/0093-nobody-stands-below-the-floor.md))."""
+    floor_gain: float = 0.1
+    """Weight of an end of a cone below the floor against that of the hull points: the floor, and a sole on it, are
+    known to a centimetre (decision 93)."""
     floor_scale_m: float = 0.05
     """Depth at which the floor loses three quarters of its pull: of a calibration whose floor is elsewhere it says
     nothing."""
