@@ -35,6 +35,7 @@ _LEAST_STIR = 5.5
 _STIRS = 0.9  # of what must stir: a shirt is plain, outlines and folds move
 _SHADE_PX = 11  # side of the square in which shade has one strength
 _FAR = 20  # levels from the usual colour that count as "something else was here"
+_SHADE_OFF = 8  # levels from a darker usual colour: more is no shade
 _DIFFERS = 15  # levels from what is painted in that make a pixel likely to show a person in the first cut
 _MOST_HOLE_PX = 6000  # of 640 x 480: a hole in what moves that may still be inside a person
 _RIM_PX = 2  # blur and compression mix colours so far beside a person
@@ -180,6 +181,33 @@ def things_in(always: Mask, keys: KeyPictures) -> Mask:
     is_thing = [False] + [bool(np.quantile(stirring[labels == i], _STIRS) < _LEAST_STIR) for i in range(1, n)]
     things: Mask = np.array(is_thing)[labels]
     return things
+
+
+def changes_in(always: Mask, keys: KeyPictures) -> list[Mask]:
+    """Where each key picture shows something else than usual of what is in all cuts of a camera, (K) times (h, w) bool.
+
+    Somebody who crouches and rises shows other parts of himself there, a table whoever is before it. Shade is nothing
+    else.
+    """
+    usual = keys.usual.astype(np.float32) + 1
+    square = (usual**2).sum(axis=2)
+    changes = []
+    for picture in keys.pictures:
+        own = cv2.blur(picture, (3, 3)).astype(np.float32) + 1
+        light = (own * usual).sum(axis=2) / square
+        is_shade = (light < 1) & (np.abs(own - light[..., None] * usual) < _SHADE_OFF).all(axis=2)
+        changes.append(always & ~is_shade & (np.abs(own - usual) >= _FAR).any(axis=2))
+    return changes
+
+
+def pieces_within(mask: Mask, region: Mask, least: float) -> Mask:
+    """The connected pieces of a mask of which at least a share lies in a region, (h, w) bool."""
+    n, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    size = np.bincount(labels.ravel(), minlength=n)
+    inside = np.bincount(labels[region], minlength=n)
+    is_within = inside >= least * size
+    is_within[0] = False
+    return np.asarray(is_within[labels])
 
 
 def _stirring(keys: KeyPictures) -> NDArray[np.float32]:

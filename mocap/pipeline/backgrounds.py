@@ -16,11 +16,13 @@ from mocap.foreground import (
     Background,
     KeyPictures,
     background_of_recording,
+    changes_in,
     first_cuts,
     key_pictures,
     learn_background,
     median_background,
     off_rim,
+    pieces_within,
     reduction_of,
     refine_mask,
     things_in,
@@ -36,6 +38,8 @@ _LEAST_FRAMES = 3
 _LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two cones cross in many places
 _VOXEL_M = 0.03
 _LEAST_THING_PX = 150  # of a picture of the working size: less says of no thing where it is
+_OWN_CHANGE = 0.1  # of a piece: so much of a thing does not change in nearly all cameras at once
+_OTHERS_PERSON = 0.3  # of a piece that nearly all others have as a person, whose legs furniture may hide
 # What most cameras have found is in nearly all cuts after the first pass, and is held to in the second.
 _N_PASSES = 2
 
@@ -169,8 +173,10 @@ def standing_things(
     things: list[Mask] = list(each(things_in, always, keys))
     if not any(found.any() for found in things):
         return things
+    things = _without(things, _changing_themselves(always, keys, witness, each), _OWN_CHANGE)
+    things = _without(things, witness.agreed(_beside(always, things)), _OTHERS_PERSON)
     # Somebody who is always before a thing, or behind it, is one piece with it: others say where each of them is.
-    rest = [own & ~found for own, found in zip(always, things, strict=True)]
+    rest = _beside(always, things)
     is_told = [np.count_nonzero(found) > _LEAST_THING_PX for found in things]
     thing, person = (
         witness.agreed(
@@ -180,6 +186,28 @@ def standing_things(
     )
     alone = [own & a & ~b for own, a, b in zip(rest, thing, person, strict=True)]
     return [found | more for found, more in zip(things, each(things_in, alone, keys), strict=True)]
+
+
+def _beside(masks: Sequence[Mask], others: Sequence[Mask]) -> list[Mask]:
+    return [mask & ~other for mask, other in zip(masks, others, strict=True)]
+
+
+def _without(things: Sequence[Mask], persons: Sequence[Mask], least: float) -> list[Mask]:
+    """The things of each camera but for pieces of which a share belongs to a person."""
+    return [own & ~pieces_within(own, person, least) for own, person in zip(things, persons, strict=True)]
+
+
+def _changing_themselves(
+    always: Sequence[Mask],
+    keys: Sequence[KeyPictures],
+    witness: Witness,
+    each: Callable[..., Iterable[Any]],
+) -> list[Mask]:
+    """Where each camera shows what looks different in nearly all cameras at once, (H, W) bool: whoever passes before a
+    thing hides it from one or two."""
+    changes = list(each(changes_in, always, keys))
+    at_once = [witness.agreed(instant) for instant in zip(*changes, strict=True)]
+    return [np.logical_or.reduce(own) for own in zip(*at_once, strict=True)]
 
 
 def _cut_again(picture: Image, guess: Guess) -> Mask:
