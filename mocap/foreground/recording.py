@@ -36,6 +36,7 @@ _STIRS = 0.9  # of what must stir: a shirt is plain, outlines and folds move
 _SHADE_PX = 11  # side of the square in which shade has one strength
 _FAR = 20  # levels from the usual colour that count as "something else was here"
 _SHADE_OFF = 8  # levels from a darker usual colour: more is no shade
+_DARKEST = 0.5  # of the usual colour: what is darker is no shade
 _DIFFERS = 15  # levels from what is painted in that make a pixel likely to show a person in the first cut
 _MOST_HOLE_PX = 6000  # of 640 x 480: a hole in what moves that may still be inside a person
 _RIM_PX = 2  # blur and compression mix colours so far beside a person
@@ -195,7 +196,11 @@ def changes_in(always: Mask, keys: KeyPictures) -> list[Mask]:
     for picture in keys.pictures:
         own = cv2.blur(picture, (3, 3)).astype(np.float32) + 1
         light = (own * usual).sum(axis=2) / square
-        is_shade = (light < 1) & (np.abs(own - light[..., None] * usual) < _SHADE_OFF).all(axis=2)
+        is_shade = (
+            (light >= _DARKEST)
+            & (light < 1)
+            & (np.abs(own - light[..., None] * usual) < _SHADE_OFF).all(axis=2)
+        )
         changes.append(always & ~is_shade & (np.abs(own - usual) >= _FAR).any(axis=2))
     return changes
 

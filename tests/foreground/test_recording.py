@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 
 from mocap.foreground import (
+    KeyPictures,
     Segmenter,
     background_of_recording,
+    changes_in,
     first_cuts,
     key_pictures,
     median_background,
+    pieces_within,
     things_in,
     with_floor,
 )
@@ -149,3 +152,37 @@ def test_what_is_in_all_cuts_and_stands_still_is_a_thing(shade: float) -> None:
 
 def test_where_nobody_stays_is_no_thing() -> None:
     assert not things_in(np.zeros((H, W), dtype=np.bool_), key_pictures(recording()[1])).any()
+
+
+def test_changes_are_other_colours_and_no_shade() -> None:
+    usual = np.full((H, W, 3), (120, 90, 60), dtype=np.uint8)
+    always = np.zeros((H, W), dtype=np.bool_)
+    always[20:80, 20:120] = True
+    other, shade, light, dark = (np.zeros((H, W), dtype=np.bool_) for _ in range(4))
+    other[30:50, 30:50], shade[30:50, 60:80], light[30:50, 90:110], dark[55:75, 60:80] = [True] * 4
+    outside = ~always
+    picture = usual.copy()
+    picture[other | outside] = (60, 90, 120)
+    picture[shade], picture[light] = (72, 54, 36), (180, 135, 90)
+    picture[dark] = (42, 32, 21)  # too dark for a shade
+    keys = KeyPictures(np.stack([usual, picture]), usual, always, always)
+    nothing, changed = changes_in(always, keys)
+    assert not nothing.any()
+    told = (other | light | dark).astype(np.uint8)
+    inside = cv2.erode(told, np.ones((3, 3))) > 0
+    around = (cv2.dilate(told, np.ones((3, 3))) > 0) | (
+        cv2.dilate(outside.astype(np.uint8), np.ones((3, 3))) > 0
+    )
+    assert changed[inside].all()
+    assert not (changed & ~around).any()
+    assert not (changed & outside).any()
+
+
+def test_a_piece_is_taken_whole_by_its_share_in_a_region() -> None:
+    mask, region = np.zeros((H, W), dtype=np.bool_), np.zeros((H, W), dtype=np.bool_)
+    mask[10:20, 10:20], mask[10:20, 40:50] = True, True
+    region[:, 18:46] = True  # a fifth of one piece, six tenths of the other
+    second = mask & (np.arange(W) >= 30)
+    np.testing.assert_array_equal(pieces_within(mask, region, 0.61), np.zeros_like(mask))
+    np.testing.assert_array_equal(pieces_within(mask, region, 0.6), second)
+    np.testing.assert_array_equal(pieces_within(mask, region, 0.2), mask)

@@ -200,6 +200,9 @@ def test_furniture_on_the_floor_that_others_see_behind_it_is_background(root: Pa
     assert iou(opened, backgrounds) > MIN_IOU
 
 
+ROOM = VoxelGrid.from_bounds(np.array([-2.0, -2.0, 0.0]), np.array([2.0, 2.0, 2.0]), 0.03)
+
+
 def seen_over_a_clip(person: np.ndarray, rng: np.random.Generator) -> KeyPictures:
     """Twelve pictures of noise, in which somebody (H, W) bool moves in his clothes."""
     pictures = rng.normal(100, 2, (12, *person.shape, 3))
@@ -229,11 +232,49 @@ def test_others_say_where_a_thing_ends_and_who_is_beside_it_begins(
     cuts = [[table | seen] * 12 for table, seen in zip(tables, body, strict=True)]
     is_told = [things_in(cut[0], key).any() for cut, key in zip(cuts, keys, strict=True)]
     assert not is_told[0]
-    room = VoxelGrid.from_bounds(np.array([-2.0, -2.0, 0.0]), np.array([2.0, 2.0, 2.0]), 0.03)
-    things = standing_things(cuts, keys, Witness(rig, room, persons))
+    things = standing_things(cuts, keys, Witness(rig, ROOM, persons))
     for found, table in zip(things, tables, strict=True):
         assert np.count_nonzero(found & ~grown(table, 2)) < 0.01 * np.count_nonzero(table)
     gone = sorted(found[table & ~p].mean() for found, table, p in zip(things, tables, persons, strict=True))
     # All round but where he has the middle of the table behind him: what is beside him stirs with him there.
     assert gone[1] > 0.85
     assert seeing != (0,) or gone[0] > 0.85
+
+
+def plain(masks: Sequence[np.ndarray], colours: Sequence[int], rng: np.random.Generator) -> KeyPictures:
+    """Twelve pictures of noise, in which masks (H, W) bool have one grey each: who wears it holds still."""
+    pictures = rng.normal(100, 2, (len(masks), *masks[0].shape, 3))
+    for picture, mask, colour in zip(pictures, masks, colours, strict=True):
+        picture[mask] += colour - 100
+    pictures = pictures.clip(0, 255).astype(np.uint8)
+    usual = np.median([cv2.blur(picture, (3, 3)) for picture in pictures], axis=0).astype(np.uint8)
+    return KeyPictures(pictures, usual, ~masks[0], masks[0])
+
+
+@pytest.mark.parametrize("others", [range(7), range(2)])
+def test_who_looks_different_before_all_cameras_at_once_is_no_thing(others: Sequence[int]) -> None:
+    """Who crouches shows other clothes where he always is, in all cameras; who passes hides a table from two."""
+    rig, rng = make_rig(), np.random.default_rng(6)
+    always = box_silhouettes(rig, (-0.25, -0.25, 0.0), (0.25, 0.25, 1.2), 0.03)
+    keys = [
+        plain([mask] * 12, [160] * 8 + [60 if c in others else 160] * 4, rng) for c, mask in enumerate(always)
+    ]
+    cuts = [[mask] * 12 for mask in always]
+    assert all(things_in(mask, key).sum() == mask.sum() for mask, key in zip(always, keys, strict=True))
+    things = standing_things(cuts, keys, Witness(rig, ROOM, always))
+    is_person = len(others) > 2
+    for found, mask in zip(things, always, strict=True):
+        assert found.sum() == (0 if is_person else mask.sum())
+
+
+@pytest.mark.parametrize("deaf", [(1,), (1, 3)])
+def test_one_camera_alone_makes_no_thing_of_a_person(deaf: Sequence[int]) -> None:
+    """In one camera his plain back keeps still, the others see him sway; where two cameras tell a thing, it is one."""
+    rig, rng = make_rig(), np.random.default_rng(7)
+    body = box_silhouettes(rig, (-0.25, -0.25, 0.0), (0.25, 0.25, 1.7), 0.03)
+    keys = [
+        plain([mask] * 12, [110] * 12, rng) if c in deaf else seen_over_a_clip(mask, rng)
+        for c, mask in enumerate(body)
+    ]
+    things = standing_things([[mask] * 12 for mask in body], keys, Witness(rig, ROOM, body))
+    assert [bool(found.any()) for found in things] == [c in deaf and len(deaf) > 1 for c in range(len(rig))]
