@@ -73,7 +73,8 @@ def start_person(
 
     With more threads than one it forks: see `in_processes` for where it may be called.
     """
-    tools, frames = clip.observation.tools, clip.frames
+    followed, frames = clip.observation.tools, clip.frames
+    tools = followed.without_floor  # a foot that is lifted explains outlines less well than one that is lost
     usable = [i for i in range(len(clip)) if clip.observation.is_usable(int(frames[i]))]
     if not usable:
         raise ValueError(f"person {clip.person} has no frame with a usable hull")
@@ -104,7 +105,7 @@ def start_person(
     if is_size_fitted and not is_crowded:  # a larger body would explain the chair as well
         with part("size"):
             tools, height, best = _sized(clip, height, best, seed=seed)
-    return Start(tools, height, best, trial, len(usable))
+    return Start(replace(tools, surface_fit=followed.surface_fit), height, best, trial, len(usable))
 
 
 def _search_at(clip: VolumeClip, row: int) -> PoseSearch:

@@ -30,21 +30,20 @@ def fit_size(
     is_head_seen : the body's height is the highest place of the head, not just a usual height.
 
     Poses are refined at every size tried. Girth is fitted too, so that a slim person is not taken for a short one, but
-    it is not to be kept: clothes and masks that are a little too wide count as girth (decision 19). The floor has no
-    say: whoever stands straight in a hull that shadows have lengthened below it would be taken for a short one.
+    it is not to be kept: clothes and masks that are a little too wide count as girth (decision 19). The floor should
+    have no say: whoever stands straight on shadows that lengthen his outlines would be taken for a short one.
     Raises ValueError without frames.
     """
     if not frames:
         raise ValueError("frames is empty: no size can be fitted")
 
-    own = frames[0].tools.without_floor
-    numbers = own.settings.method.size
+    numbers = frames[0].tools.settings.method.size
     below, above = numbers.below_std, numbers.above_std
     if not is_head_seen:
         below = above = numbers.unseen_std
 
     def cost(log_factor: float, log_girth: float) -> float:
-        tools = own.resized(float(np.exp(log_factor)), float(np.exp(log_girth)))
+        tools = frames[0].tools.resized(float(np.exp(log_factor)), float(np.exp(log_girth)))
         misfits = []
         for frame, state in zip(frames, states, strict=True):
             other = frame.with_tools(tools)
