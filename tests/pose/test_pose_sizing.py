@@ -147,3 +147,32 @@ def test_no_size_is_fitted_and_outlines_say_little_where_the_volume_holds_more_t
     start = person.start_person(clip, height, seed=0, is_size_fitted=True)
     assert bool(fitted) is not with_cupboard
     assert start.tools.settings.outline_weight == (0.3 if with_cupboard else 8.0)
+
+
+def test_first_poses_and_sizes_are_looked_for_without_the_floor(monkeypatch: pytest.MonkeyPatch) -> None:
+    gains = {}
+
+    def spied(name: str) -> None:
+        real = getattr(person, name)
+
+        def told(clip: person.VolumeClip, *args: object, **others: object) -> object:
+            gains[name] = clip.observation.tools.surface_fit.floor_gain
+            return real(clip, *args, **others)
+
+        monkeypatch.setattr(person, name, told)
+
+    for name in ("_most_promising", "choose_hypothesis", "_sized"):
+        spied(name)
+    state = neutral_state(FLESH.body)
+    hull = rasterise(FLESH.body, FLESH.grid, state, margin_m=VOXEL_M)
+    quick = PoseConfig(n_start_frames=1, n_first_poses=1, n_layers=2, n_particles=40, look_again=False)
+    t = make_tools(FLESH.grid, 12.5, HEIGHT_M, "anthropometric", quick, LikelihoodConfig(), 1)
+    clip = person.VolumeClip(
+        1, np.arange(2), np.tile(state[:3], (2, 1)), VolumeObservation(t, lambda _: hull)
+    )
+    height = HeightEstimate(HEIGHT_M, is_measured=True)
+    start = person.start_person(clip, height, seed=0, is_size_fitted=True)
+    assert gains == {"_most_promising": 0.0, "choose_hypothesis": 0.0, "_sized": 0.0}
+    assert start.tools.surface_fit == t.surface_fit
+    assert t.surface_fit.floor_gain > 0
+    assert start.tools.body.height_m != HEIGHT_M  # and the body is the one that was fitted
