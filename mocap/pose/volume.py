@@ -435,7 +435,8 @@ class VolumeEvidence:
         terms: list[Bonus] = []
         lost = self.surface.unexplained(state, settings.method.evidence.unexplained_m)
         if len(lost) > search.unexplained_share * self.surface.n_points:
-            terms.append(partial(self._explained_nats, lost))
+            most = round(search.most_unexplained_share * self.surface.n_points)
+            terms.append(partial(self._explained_nats, lost[:most]))
         if self.colours is not None:
             terms.append(_ColourNats(self.colours, settings.colour_weight, search.pixel_stride, state))
         if settings.posture_nats > 0:

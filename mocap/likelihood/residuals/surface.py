@@ -214,11 +214,12 @@ class SurfaceProblem:
         return float(surface_equations(x, body.arrays, self.terms, H, g)), H, g
 
     def unexplained(self, state: Array, distance_m: float) -> Array:
-        """Hull points further than distance_m outside the flesh of a state (D,): (U, 3) m, world."""
+        """Hull points further than distance_m outside the flesh of a state (D,), furthest first: (U, 3) m, world."""
         start, end = cones_of(self.body, state)
         distance = np.empty(len(self._points))
         distance_to_cones(self._points, start, end, self.body.cones.radii, distance)
-        return self._points[distance > distance_m]
+        furthest = np.argsort(-distance, kind="stable")
+        return self._points[furthest[: np.count_nonzero(distance > distance_m)]]
 
     def unexplained_share(self, state: Array, distance_m: float) -> float:
         """Share of the hull points used that `unexplained` returns; 0 without points."""
