@@ -180,8 +180,8 @@ class LimbSearchSettings(_Strict):
     unexplained_share: float = 0.025
     """Share of the hull's surface points that must be unexplained before they count: a lost forearm leaves 0.04."""
     most_unexplained_share: float = 0.08
-    """Share of the surface points that count at most, those furthest from the body: a lost arm leaves no more, a hull
-    that is wide all over a third, among which an arm would count for nothing (decision 95)."""
+    """Share of the surface points that count at most, those furthest from the body: a lost arm leaves no more, clothes
+    or a hull that are wide all over a third, which would draw every limb (decision 95)."""
     zeal: float = 4.0
     """Factor on what an unexplained point is worth in the search; what is found is judged by the evidence itself."""
     n_lost_points: int = 24

@@ -12,7 +12,8 @@ from mocap.data.problem import limbs_of
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose.limb_search import LimbSchedule, first_parts, jump_nats
-from mocap.pose.volume import VolumeTools
+from mocap.pose.volume import PersonHull, VolumeTools
+from mocap.volume import surface_voxels
 
 FPS = 30.0
 NATS = 3.0
@@ -123,3 +124,25 @@ def test_a_global_likelihood_has_no_limbs_to_look_at(tools: VolumeTools, coarse_
     evidence = whole.frame(coarse_flesh.hull(neutral_state(tools.body), margin_m=0.02))
     assert evidence.limb_misfits(neutral_state(tools.body)) == {}
     assert looks([100.0, 50.0], {}) == [(), ()]
+
+
+def test_an_arm_is_looked_for_where_it_sticks_out_of_clothes_that_are_wide_all_over(
+    tools: VolumeTools, coarse_flesh: Flesh
+) -> None:
+    body, layout = tools.body, tools.body.layout
+    arm = next(limb for limb in limbs_of(layout) if limb[0] == layout.parts.index("left_upper_arm"))
+    down, held_out = neutral_state(body), raised(tools, 1.5)
+    clothes = coarse_flesh.hull(down, without=tuple(arm), margin_m=0.12).voxels
+    voxels = np.union1d(clothes, coarse_flesh.hull(held_out).voxels).astype(np.int32)
+    evidence = tools.frame(PersonHull(voxels, surface_voxels(voxels, coarse_flesh.grid)))
+    assert evidence.unexplained_share(down) > 0.3
+
+    columns, rng = layout.columns_of(arm), np.random.default_rng(0)
+    low, high = layout.lower[columns], layout.upper[columns]
+    drawn = np.tile(down, (2000, 1))
+    drawn[:, columns] = low + rng.random((2000, len(columns))) * (high - low)
+    nats = evidence.limb_terms(down)[0](drawn, arm)
+    likeliest = drawn[np.argsort(-nats, kind="stable")[:20]]
+    wrist = LANDMARKS.index("left_wrist")
+    off = landmarks_of(body, likeliest)[:, wrist] - landmarks_of(body, held_out[None])[0, wrist]
+    assert np.median(np.linalg.norm(off, axis=1)) < 0.2
