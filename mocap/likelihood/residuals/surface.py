@@ -218,8 +218,8 @@ class SurfaceProblem:
         start, end = cones_of(self.body, state)
         distance = np.empty(len(self._points))
         distance_to_cones(self._points, start, end, self.body.cones.radii, distance)
-        furthest = np.argsort(-distance, kind="stable")
-        return self._points[furthest[: np.count_nonzero(distance > distance_m)]]
+        out = np.flatnonzero(distance > distance_m)
+        return self._points[out[np.argsort(-distance[out], kind="stable")]]
 
     def unexplained_share(self, state: Array, distance_m: float) -> float:
         """Share of the hull points used that `unexplained` returns; 0 without points."""
