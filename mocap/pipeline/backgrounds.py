@@ -7,6 +7,7 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap.arrays import Image, Mask
 from mocap.data import Camera, CameraRig
@@ -18,6 +19,7 @@ from mocap.foreground import (
     background_of_recording,
     changes_in,
     first_cuts,
+    held_things_in,
     key_pictures,
     learn_background,
     median_background,
@@ -25,6 +27,7 @@ from mocap.foreground import (
     pieces_within,
     reduction_of,
     refine_mask,
+    stirring_of,
     things_in,
     with_floor,
 )
@@ -39,7 +42,9 @@ _LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two con
 _VOXEL_M = 0.03
 _LEAST_THING_PX = 150  # of a picture of the working size: less says of no thing where it is
 _OWN_CHANGE = 0.1  # of a piece: so much of a thing does not change in nearly all cameras at once
-_OTHERS_PERSON = 0.3  # of a piece that nearly all others have as a person, whose legs furniture may hide
+_SEAT = 0.5  # of a piece: so much of a chair does change, where somebody sits down on it
+_A_SAY = 0.3  # of a piece: so much of it as the others have, as a person or as a thing, decides; furniture hides legs
+_MUST_AGREE = 3  # cameras that have a thing in one place: rays of two cross beside what they see
 # What most cameras have found is in nearly all cuts after the first pass, and is held to in the second.
 _N_PASSES = 2
 
@@ -131,13 +136,17 @@ def _of_recording(
             f"Remedy: {REMEDY}"
         )
     cuts = _cuts_that_agree(keys, regions, witness, each)
+    things = standing_things(cuts, keys, witness, each)
+    cuts = [[cut & ~gone for cut in own] for own, gone in zip(cuts, things, strict=True)]
     free = _free_of_people(cuts, witness)
     floor = Floor(small, witness.grid, [key.pictures for key in keys], free)
     wanted = [(c, camera) for c, camera in enumerate(rig) if camera.name in names]
     learnt = each(lambda pair: background_of_recording(clip_of(session, pair[1]), cuts[pair[0]]), wanted)
     # What a camera shows while nobody is there stands there, as furniture does on the floor that others see behind it.
     return {
-        camera.name: with_floor(background, *floor.behind(c), regions[c] & ~np.any(free[c], axis=0))
+        camera.name: with_floor(
+            background, *floor.behind(c), regions[c] & ~things[c] & ~np.any(free[c], axis=0)
+        )
         for (c, camera), background in zip(wanted, learnt, strict=True)
     }
 
@@ -153,10 +162,7 @@ def _cuts_that_agree(
             again = each(_cut_again, pictures, witness.corrected([cut[k] for cut in cuts]))
             for cut, better in zip(cuts, again, strict=True):
                 cut[k] = better
-    return [
-        [cut & ~gone for cut in own]
-        for own, gone in zip(cuts, standing_things(cuts, keys, witness, each), strict=True)
-    ]
+    return cuts
 
 
 def standing_things(
@@ -165,16 +171,25 @@ def standing_things(
     witness: Witness,
     each: Callable[..., Iterable[Any]] = map,
 ) -> list[Mask]:
-    """What stands still in all cuts of each camera, (H, W) bool: furniture that somebody walks round.
+    """What stands still in all cuts of each camera, (H, W) bool: furniture that somebody walks round, or sits on.
 
     cuts : (H, W) bool per camera and key picture.  each : `map`, perhaps over threads.
     """
     always: list[Mask] = [np.logical_and.reduce(list(own)) for own in cuts]
-    things: list[Mask] = list(each(things_in, always, keys))
-    if not any(found.any() for found in things):
+    if not any(mask.any() for mask in always):
+        return always
+    stirring: list[NDArray[np.float32]] = list(each(stirring_of, keys))
+    things: list[Mask] = list(each(things_in, always, stirring))
+    held: list[Mask] = list(each(held_things_in, cuts, stirring))
+    if not any(found.any() for found in (*things, *held)):
         return things
-    things = _without(things, _changing_themselves(always, keys, witness, each), _OWN_CHANGE)
-    things = _without(things, witness.agreed(_beside(always, things)), _OTHERS_PERSON)
+    changing = _changing_themselves(always, keys, witness, each)
+    things = _without(things, changing, _OWN_CHANGE)
+    things = _without(things, witness.agreed(_beside(always, things)), _A_SAY)
+    held = _without(held, changing, _SEAT)
+    # What goes from some cameras may have been what others agreed with.
+    held = _agreed(_nobody_floats(_agreed(held, witness), cuts, witness), witness)
+    things = [found | more for found, more in zip(things, held, strict=True)]
     # Somebody who is always before a thing, or behind it, is one piece with it: others say where each of them is.
     rest = _beside(always, things)
     is_told = [np.count_nonzero(found) > _LEAST_THING_PX for found in things]
@@ -185,7 +200,7 @@ def standing_things(
         for parts in (things, rest)
     )
     alone = [own & a & ~b for own, a, b in zip(rest, thing, person, strict=True)]
-    return [found | more for found, more in zip(things, each(things_in, alone, keys), strict=True)]
+    return [found | more for found, more in zip(things, each(things_in, alone, stirring), strict=True)]
 
 
 def _beside(masks: Sequence[Mask], others: Sequence[Mask]) -> list[Mask]:
@@ -197,17 +212,43 @@ def _without(things: Sequence[Mask], persons: Sequence[Mask], least: float) -> l
     return [own & ~pieces_within(own, person, least) for own, person in zip(things, persons, strict=True)]
 
 
+def _within(things: Sequence[Mask], others: Sequence[Mask], least: float) -> list[Mask]:
+    """Those pieces of the things of each camera of which a share belongs to the others'."""
+    return [pieces_within(own, other, least) for own, other in zip(things, others, strict=True)]
+
+
+def _agreed(things: Sequence[Mask], witness: Witness) -> list[Mask]:
+    """Those pieces of the things of each camera that enough of these have in one place."""
+    return _within(things, witness.in_some(things, _MUST_AGREE), _A_SAY)
+
+
+def _nobody_floats(things: Sequence[Mask], cuts: Sequence[Sequence[Mask]], witness: Witness) -> list[Mask]:
+    """The things of each camera but for legs of somebody who stands still, without which he mostly hangs in the air.
+
+    Who sits on a thing has his feet on the floor.
+    """
+    instants = list(zip(*cuts, strict=True))
+    votes = [np.zeros(found.shape, dtype=np.int64) for found in things]
+    for instant in instants:
+        legs = _within(things, witness.carrying(instant, things), _A_SAY)
+        votes = [own + more for own, more in zip(votes, legs, strict=True)]
+    return [found & (2 * own <= len(instants)) for found, own in zip(things, votes, strict=True)]
+
+
 def _changing_themselves(
     always: Sequence[Mask],
     keys: Sequence[KeyPictures],
     witness: Witness,
     each: Callable[..., Iterable[Any]],
 ) -> list[Mask]:
-    """Where each camera shows what looks different in nearly all cameras at once, (H, W) bool: whoever passes before a
-    thing hides it from one or two."""
+    """Where each camera shows what looks different in it and in nearly all others at once, (H, W) bool: whoever passes
+    before a thing hides it from one or two."""
     changes = list(each(changes_in, always, keys))
-    at_once = [witness.agreed(instant) for instant in zip(*changes, strict=True)]
-    return [np.logical_or.reduce(own) for own in zip(*at_once, strict=True)]
+    at_once = zip(*(witness.agreed(instant) for instant in zip(*changes, strict=True)), strict=True)
+    return [
+        np.logical_or.reduce([seen & mask for seen, mask in zip(others, own, strict=True)])
+        for others, own in zip(at_once, changes, strict=True)
+    ]
 
 
 def _cut_again(picture: Image, guess: Guess) -> Mask:

@@ -31,6 +31,7 @@ _HEAD_OVER_M = 0.8  # of somebody who crouches
 _HEAD_REACH_M = 0.25  # around the highest place of a person nothing else is a head
 _HEAD_SLACK_M = 0.15  # how far below the highest place its neighbours may belong to it
 _CUT_MARGIN_PX = 3  # a cut may be off by so much
+_THING_RIM_PX = 5  # beside what is told to keep still, which is smaller than the thing
 _CORE_PX = 7  # what lies further inside is likely
 _SURE_PX = 11  # and what lies still further inside of what nearly all cameras say is certain
 # Of the cameras, that may miss a part: trousers as dark as the floor were in five cuts of eight (decision 83,
@@ -87,7 +88,7 @@ class Witness:
         for may, must, certain, cut in zip(
             self._seen(possible), self._seen(most), self._seen(agreed), cuts, strict=True
         ):
-            allowed = cv2.dilate(may.astype(np.uint8), _disc(_CUT_MARGIN_PX)) > 0
+            allowed = _wider(may, _CUT_MARGIN_PX)
             likely = cut | _inside(must, _CORE_PX)
             out.append(Guess(allowed, allowed & likely, allowed & _inside(certain, _SURE_PX)))
         return out
@@ -103,12 +104,37 @@ class Witness:
         """What nearly all cameras have in their masks, (H, W) bool per camera, as each of them sees it."""
         return self._seen(self._carver.carve(masks, n_faulty_views=self._tolerance))
 
+    def in_some(self, masks: Sequence[Mask], n_cameras: int) -> list[Mask]:
+        """What at least so many cameras have in their masks, (H, W) bool per camera, as each sees it; no shoes."""
+        n_others = len(self._rig) - n_cameras
+        voxels = self._carver.carve(masks, n_faulty_views=n_others, min_votes=n_cameras)
+        return self._seen(voxels[self.grid.centers(voxels)[:, 2] > _FOOT_M])
+
     def columns(self, cuts: Sequence[Mask]) -> list[Mask]:
         """What stands straight under somebody's legs in the cuts of one instant, (H, W) bool per camera: he hides the
         floor there, whether the cuts have his feet or not.
         """
         person = self._persons(self._carver.carve(cuts, n_faulty_views=self._tolerance))
         return self._seen(self._to_the_floor(person, _CUT_KNEE_M, 0.0))
+
+    def carrying(self, cuts: Sequence[Mask], things: Sequence[Mask]) -> list[Mask]:
+        """What is straight below persons who reach no floor once things are gone, (H, W) bool per camera: their legs.
+
+        cuts, things : (H, W) bool per camera, of one instant.
+        """
+        # Things lack the rim of what they are, which would go on to hold him up.
+        rest = [cut & ~_wider(thing, _THING_RIM_PX) for cut, thing in zip(cuts, things, strict=True)]
+        persons = self._persons(self._carver.carve(rest, n_faulty_views=self._tolerance))
+        labels, n = connected_components(persons, self.grid)
+        lowest = np.full(n, np.inf)
+        np.minimum.at(lowest, labels, self.grid.centers(persons)[:, 2])
+        floating = self.grid.dense(persons[(lowest > _FOOT_M)[labels]])
+        n_high = floating.shape[2]
+        sole = np.where(floating.any(axis=2), floating.argmax(axis=2), n_high).astype(np.float32)
+        sole = cv2.erode(sole, np.ones((3, 3), np.uint8))
+        below = (np.arange(n_high) < sole[:, :, None]) & (sole < n_high)[:, :, None]
+        all_of = self.grid.dense(self._carver.carve(cuts, n_faulty_views=self._tolerance))
+        return self._seen(np.flatnonzero((all_of & below).ravel()).astype(np.int32))
 
     def _seen(self, voxels: Voxels) -> list[Mask]:
         points = self.grid.centers(voxels[surface_voxels(voxels, self.grid)])
@@ -149,6 +175,11 @@ class Witness:
         z = np.arange(n)
         full |= ((below > 0) & (z >= below - 3) & (z < below + _HEAD_M / side)).view(np.uint8)
         return np.flatnonzero(full.ravel()).astype(np.int32)
+
+
+def _wider(mask: Mask, px: int) -> Mask:
+    """The mask with a rim of so many pixels around it."""
+    return cv2.dilate(mask.astype(np.uint8), _disc(px)) > 0
 
 
 def _inside(mask: Mask, px: int) -> Mask:

@@ -12,9 +12,11 @@ from mocap.foreground import (
     background_of_recording,
     changes_in,
     first_cuts,
+    held_things_in,
     key_pictures,
     median_background,
     pieces_within,
+    stirring_of,
     things_in,
     with_floor,
 )
@@ -147,11 +149,35 @@ def test_what_is_in_all_cuts_and_stands_still_is_a_thing(shade: float) -> None:
         picture[shirt] = np.clip(65 + rng.normal(0, NOISE, (np.count_nonzero(shirt), 3)), 0, 255)
     keys = key_pictures(pictures)
     person = silhouettes.all(axis=0)
-    np.testing.assert_array_equal(things_in(person | table, keys), table)
+    np.testing.assert_array_equal(things_in(person | table, stirring_of(keys)), table)
+
+
+def test_a_chair_keeps_its_edges_and_a_plain_shirt_does_not() -> None:
+    """Both are one piece, and the middle of the shirt keeps as still as the chair."""
+    rng = np.random.default_rng(5)
+    _, pictures, silhouettes = recording()
+    chair = np.zeros((H, W), dtype=np.bool_)
+    chair[56:84, 70:112] = True
+    shoe = np.zeros_like(chair)
+    shoe[86:94, 104:118] = True
+    for picture, silhouette in zip(pictures, silhouettes, strict=True):
+        for grey, place in ((80, chair & ~silhouette), (60, silhouette)):
+            picture[place] = np.clip(grey + rng.normal(0, NOISE, (np.count_nonzero(place), 3)), 0, 255)
+    stirring = stirring_of(key_pictures(pictures))
+    person = silhouettes.all(axis=0)
+    assert np.count_nonzero(stirring[person] < 2) > 400
+    assert cv2.connectedComponents((person | chair).astype(np.uint8))[0] == 2
+    ever = cv2.dilate(silhouettes.any(axis=0).astype(np.uint8), np.ones((3, 3))) > 0
+    cuts = keys_in(silhouettes) | chair | shoe
+    held = held_things_in(list(cuts), stirring)
+    assert held[chair & ~ever].mean() > 0.9
+    assert not held[(person | shoe) & ~chair].any()
+    cuts[::3] = True  # while somebody is often beside it, nothing says that its edges are its own
+    assert not held_things_in(list(cuts), stirring).any()
 
 
 def test_where_nobody_stays_is_no_thing() -> None:
-    assert not things_in(np.zeros((H, W), dtype=np.bool_), key_pictures(recording()[1])).any()
+    assert not things_in(np.zeros((H, W), dtype=np.bool_), stirring_of(key_pictures(recording()[1]))).any()
 
 
 def test_changes_are_other_colours_and_no_shade() -> None:

@@ -15,7 +15,7 @@ from small_session import CAMERAS, SIZE, copy_session, small_session
 
 from mocap.data import VoxelGrid
 from mocap.errors import MocapError
-from mocap.foreground import Background, KeyPictures, Segmenter, things_in
+from mocap.foreground import Background, KeyPictures, Segmenter, held_things_in, stirring_of, things_in
 from mocap.io.session import Session, open_session
 from mocap.io.video import iter_clip
 from mocap.pipeline import backgrounds as learning
@@ -200,6 +200,39 @@ def test_furniture_on_the_floor_that_others_see_behind_it_is_background(root: Pa
     assert iou(opened, backgrounds) > MIN_IOU
 
 
+def test_no_floor_is_painted_over_a_thing_that_somebody_hides(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who stands over it in every picture may hide the floor there from this camera; it is known what stands there."""
+    asked: dict[str, list[np.ndarray]] = {}
+
+    def learn(name: str, share: float) -> None:
+        def stands(cuts: Sequence[Sequence[np.ndarray]], *_: object) -> list[np.ndarray]:
+            """The right half of every picture, or none of it."""
+            height, width = cuts[0][0].shape
+            return [np.tile(np.arange(width) >= (1 - share) * width, (height, 1)) for _ in cuts]
+
+        def note(background: Background, *given: np.ndarray) -> Background:
+            asked.setdefault(name, []).append(given[-1])
+            return background
+
+        monkeypatch.setattr(learning, "standing_things", stands)
+        monkeypatch.setattr(learning, "with_floor", note)
+        learn_backgrounds(open_session(root), CONFIG, [])
+
+    def nowhere(cuts: Sequence[Sequence[np.ndarray]], _: Witness) -> list[list[np.ndarray]]:
+        return [[np.zeros_like(cut) for cut in own] for own in cuts]
+
+    monkeypatch.setattr(learning, "_free_of_people", nowhere)
+    learn("without", 0.0)
+    learn("with", 0.5)
+    half = asked["with"][0].shape[1] // 2
+    for without, region in zip(asked["without"], asked["with"], strict=True):
+        np.testing.assert_array_equal(region[:, :half], without[:, :half])
+        assert not region[:, half:].any()
+    assert any(without[:, half:].any() for without in asked["without"])
+
+
 ROOM = VoxelGrid.from_bounds(np.array([-2.0, -2.0, 0.0]), np.array([2.0, 2.0, 2.0]), 0.03)
 
 
@@ -230,7 +263,7 @@ def test_others_say_where_a_thing_ends_and_who_is_beside_it_begins(
         persons = [person & ~table for person, table in zip(persons, tables, strict=True)]
     keys = [seen_over_a_clip(person, rng) for person in persons]
     cuts = [[table | seen] * 12 for table, seen in zip(tables, body, strict=True)]
-    is_told = [things_in(cut[0], key).any() for cut, key in zip(cuts, keys, strict=True)]
+    is_told = [things_in(cut[0], stirring_of(key)).any() for cut, key in zip(cuts, keys, strict=True)]
     assert not is_told[0]
     things = standing_things(cuts, keys, Witness(rig, ROOM, persons))
     for found, table in zip(things, tables, strict=True):
@@ -260,7 +293,8 @@ def test_who_looks_different_before_all_cameras_at_once_is_no_thing(others: Sequ
         plain([mask] * 12, [160] * 8 + [60 if c in others else 160] * 4, rng) for c, mask in enumerate(always)
     ]
     cuts = [[mask] * 12 for mask in always]
-    assert all(things_in(mask, key).sum() == mask.sum() for mask, key in zip(always, keys, strict=True))
+    for mask, key in zip(always, keys, strict=True):
+        assert things_in(mask, stirring_of(key)).sum() == mask.sum()
     things = standing_things(cuts, keys, Witness(rig, ROOM, always))
     is_person = len(others) > 2
     for found, mask in zip(things, always, strict=True):
@@ -278,3 +312,56 @@ def test_one_camera_alone_makes_no_thing_of_a_person(deaf: Sequence[int]) -> Non
     ]
     things = standing_things([[mask] * 12 for mask in body], keys, Witness(rig, ROOM, body))
     assert [bool(found.any()) for found in things] == [c in deaf and len(deaf) > 1 for c in range(len(rig))]
+
+
+SITS = ((0.15, -0.2, 0.42), (0.45, 0.2, 0.6)), ((0.35, -0.2, 0.0), (0.45, 0.2, 0.5))  # thighs and shins
+
+
+@pytest.mark.parametrize(
+    ("below", "limbs"),
+    [(((-0.12, -0.12, 0.0), (0.12, 0.12, 0.9)), ()), (((-0.3, -0.3, 0.0), (0.3, 0.3, 0.45)), SITS)],
+)
+def test_what_keeps_still_under_somebody_is_his_chair_or_his_legs(
+    below: tuple[tuple[float, ...], tuple[float, ...]], limbs: tuple[tuple[tuple[float, ...], ...], ...]
+) -> None:
+    """Without a chair he who sits there has his feet on the floor; without his legs he would hang in the air."""
+    rig, rng = make_rig(), np.random.default_rng(8)
+    still = box_silhouettes(rig, *below, 0.03)
+    trunk = ((-0.2, -0.2, below[1][2]), (0.2, 0.2, below[1][2] + 0.7))
+    moving = [
+        np.logical_or.reduce(parts)
+        for parts in zip(*(box_silhouettes(rig, *box, 0.03) for box in (trunk, *limbs)), strict=True)
+    ]
+    keys = [seen_over_a_clip(grown(mask, 2), rng) for mask in moving]
+    cuts = [[a | b] * 12 for a, b in zip(still, moving, strict=True)]
+    assert sum(held_things_in(cut, stirring_of(key)).any() for cut, key in zip(cuts, keys, strict=True)) > 3
+    things = standing_things(cuts, keys, Witness(rig, ROOM, [cut[0] for cut in cuts]))
+    shares = [found[own & ~grown(m, 5)].mean() for found, own, m in zip(things, still, moving, strict=True)]
+    assert sorted(shares)[2] > 0.8 if limbs else not any(found.any() for found in things)
+    assert not any((found & ~own).any() for found, own in zip(things, still, strict=True))
+
+
+@pytest.mark.parametrize(("n_telling", "n_wide"), [(2, 0), (3, 0), (3, 2)])
+def test_what_keeps_still_in_two_cameras_alone_is_no_chair(n_telling: int, n_wide: int) -> None:
+    """A plain coat does in some; of three cameras that have it in one place it is a thing's, unless two have much
+    more there that keeps still."""
+    rig, rng = make_rig(), np.random.default_rng(9)
+    still, *moving = (
+        box_silhouettes(rig, low, high, 0.03)
+        for low, high in (
+            ((-0.3, -0.3, 0.0), (0.3, 0.3, 0.45)), ((-0.2, -0.2, 0.45), (0.2, 0.2, 1.15)), *SITS,
+        )
+    )  # fmt: skip
+    persons = [np.logical_or.reduce(parts) for parts in zip(*moving, strict=True)]
+    telling = np.argsort([np.count_nonzero(a & b) for a, b in zip(still, persons, strict=True)])[:n_telling]
+    keys = [
+        seen_over_a_clip(grown(p, 2) if c in telling else grown(p | s, 2), rng)
+        for c, (p, s) in enumerate(zip(persons, still, strict=True))
+    ]
+    cuts = [[s | p] * 12 for s, p in zip(still, persons, strict=True)]
+    for c in telling[:n_wide]:
+        wide = np.repeat(still[c].any(axis=1)[:, None], still[c].shape[1], axis=1)
+        cuts[c] = [cut | wide for cut in cuts[c]]
+    things = standing_things(cuts, keys, Witness(rig, ROOM, [cut[0] for cut in cuts]))
+    found = {c for c, mask in enumerate(things) if mask.any()}
+    assert found == (set(telling) if n_telling == 3 and not n_wide else set())

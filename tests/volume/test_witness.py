@@ -147,3 +147,44 @@ def test_nobody_gives_nothing(witness: Witness, silhouettes: list[np.ndarray]) -
     empty = [np.zeros_like(s) for s in silhouettes]
     assert not any(region.any() for region in Witness(ring_rig(), ROOM, empty).regions())
     assert not any(part.any() for guess in witness.corrected(empty) for part in guess)
+
+
+def shrunk(mask: np.ndarray, px: int) -> np.ndarray:
+    return cv2.erode(mask.astype(np.uint8), np.ones((2 * px + 1,) * 2, np.uint8)) > 0
+
+
+def test_who_would_hang_in_the_air_has_legs(witness: Witness, silhouettes: list[np.ndarray]) -> None:
+    """Two cameras of six take them for a thing, and without its rim, which holds nobody up."""
+    lower = [lower_half(person) for person in silhouettes]
+    things = [shrunk(half, 4) & (i in (0, 2)) for i, half in enumerate(lower)]
+    legs = witness.carrying(silhouettes, things)
+    for found, half, person in zip(legs, lower, silhouettes, strict=True):
+        assert found[shrunk(half, 3)].mean() > 0.9
+        assert not found[~grown(person, 4)].any()
+        rows = np.flatnonzero(person.any(axis=1))
+        assert not found[: rows[0] + len(rows) // 4].any()
+
+
+def test_who_has_his_feet_on_the_floor_needs_no_more(witness: Witness, silhouettes: list[np.ndarray]) -> None:
+    """One camera of six has a thing where his legs are, five see them; or shoes alone are taken from him."""
+    nothing = [np.zeros_like(person) for person in silhouettes]
+    assert not any(found.any() for found in witness.carrying(silhouettes, nothing))
+    assert not any(
+        found.any() for found in witness.carrying(silhouettes, [lower_half(silhouettes[0]), *nothing[1:]])
+    )
+
+
+def test_a_thing_is_where_enough_cameras_have_it(witness: Witness, silhouettes: list[np.ndarray]) -> None:
+    nothing = [np.zeros_like(person) for person in silhouettes]
+    some = [
+        person if i in (0, 2, 3) else none
+        for i, (person, none) in enumerate(zip(silhouettes, nothing, strict=True))
+    ]
+    assert not any(found.any() for found in witness.in_some(some, 4))
+    for found, person in zip(witness.in_some(some, 3), some, strict=True):
+        assert not person.any() or found[person].mean() > 0.8
+
+
+def test_shoes_are_no_thing(witness: Witness) -> None:
+    shoes = [on_floor(i, AT, 0.15) for i in range(len(ring_rig()))]
+    assert not any(found.any() for found in witness.in_some(shoes, 3))
