@@ -180,7 +180,7 @@ def standing_things(
         return always
     stirring: list[NDArray[np.float32]] = list(each(stirring_of, keys))
     things: list[Mask] = list(each(things_in, always, stirring))
-    held: list[Mask] = list(each(held_things_in, cuts, stirring))
+    held: list[Mask] = list(each(held_things_in, always, stirring))
     if not any(found.any() for found in (*things, *held)):
         return things
     changing = _changing_themselves(always, keys, witness, each)

@@ -334,7 +334,9 @@ def test_what_keeps_still_under_somebody_is_his_chair_or_his_legs(
     ]
     keys = [seen_over_a_clip(grown(mask, 2), rng) for mask in moving]
     cuts = [[a | b] * 12 for a, b in zip(still, moving, strict=True)]
-    assert sum(held_things_in(cut, stirring_of(key)).any() for cut, key in zip(cuts, keys, strict=True)) > 3
+    assert (
+        sum(held_things_in(cut[0], stirring_of(key)).any() for cut, key in zip(cuts, keys, strict=True)) > 3
+    )
     things = standing_things(cuts, keys, Witness(rig, ROOM, [cut[0] for cut in cuts]))
     shares = [found[own & ~grown(m, 5)].mean() for found, own, m in zip(things, still, moving, strict=True)]
     assert sorted(shares)[2] > 0.8 if limbs else not any(found.any() for found in things)
