@@ -38,8 +38,10 @@ _SHADE_PX = 11  # side of the square in which shade has one strength
 # 0.35 to all lie beside what keeps still as well, of plain clothes' less (decision 96).
 _STILL = 3.5  # times the noise
 _CALM = 2.5  # times the noise: the room beside a thing
-_EDGE_PX = 3
-_HELD = 0.35
+_EDGE_PX = (
+    3  # between what keeps still in a thing and the room beside it: blur and compression mix colours there
+)
+_HELD = 0.35  # of the edges
 _LEAST_HELD_PX = 150  # of a picture of the working size: shoes have less
 _FAR = 20  # levels from the usual colour that count as "something else was here"
 _SHADE_OFF = 8  # levels from a darker usual colour: more is no shade
@@ -185,9 +187,9 @@ def with_floor(
 
 
 def things_in(always: Mask, stirring: NDArray[np.float32]) -> Mask:
-    """What stands still of the pixels that are in all cuts of a camera, (H, W) bool: a table that somebody walks round.
+    """What stands still of the pixels that are in all cuts of a camera, (h, w) bool: a table that somebody walks round.
 
-    A connected piece is a thing or a person.  stirring : (H, W) of the same camera, see `stirring_of`.
+    A connected piece is a thing or a person.  stirring : (h, w) of the same camera, see `stirring_of`.
     """
     if not always.any():
         return always
@@ -198,10 +200,10 @@ def things_in(always: Mask, stirring: NDArray[np.float32]) -> Mask:
 
 
 def held_things_in(always: Mask, stirring: NDArray[np.float32]) -> Mask:
-    """What stands still within edges that stand still, of the pixels that are in all cuts of a camera, (H, W) bool.
+    """What stands still within edges that stand still, of the pixels that are in all cuts of a camera, (h, w) bool.
 
     The middle of a plain shirt keeps still, but what is beside it moves; a chair stands against the room with all its
-    edges, except where somebody sits before them.  stirring : (H, W) of the same camera, see `stirring_of`.
+    edges, except where somebody sits before them.  stirring : (h, w) of the same camera, see `stirring_of`.
     """
     still = cv2.morphologyEx((always & (stirring < _STILL)).astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
     edges = (still - cv2.erode(still, _disc(1))) > 0

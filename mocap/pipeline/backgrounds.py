@@ -227,6 +227,8 @@ def _nobody_floats(things: Sequence[Mask], cuts: Sequence[Sequence[Mask]], witne
 
     Who sits on a thing has his feet on the floor.
     """
+    if not any(found.any() for found in things):
+        return list(things)
     instants = list(zip(*cuts, strict=True))
     votes = [np.zeros(found.shape, dtype=np.int64) for found in things]
     for instant in instants:
