@@ -38,9 +38,7 @@ _SHADE_PX = 11  # side of the square in which shade has one strength
 # 0.35 to all lie beside what keeps still as well, of plain clothes' less (decision 96).
 _STILL = 3.5  # times the noise
 _CALM = 2.5  # times the noise: the room beside a thing
-_EDGE_PX = (
-    3  # between what keeps still in a thing and the room beside it: blur and compression mix colours there
-)
+_EDGE_PX = 3  # between a thing and the room beside it, where blur and compression mix colours
 _HELD = 0.35  # of the edges
 _LEAST_HELD_PX = 150  # of a picture of the working size: shoes have less
 _FAR = 20  # levels from the usual colour that count as "something else was here"

@@ -209,7 +209,7 @@ def _beside(masks: Sequence[Mask], others: Sequence[Mask]) -> list[Mask]:
 
 def _without(things: Sequence[Mask], persons: Sequence[Mask], least: float) -> list[Mask]:
     """The things of each camera but for pieces of which a share belongs to a person."""
-    return [own & ~pieces_within(own, person, least) for own, person in zip(things, persons, strict=True)]
+    return _beside(things, _within(things, persons, least))
 
 
 def _within(things: Sequence[Mask], others: Sequence[Mask], least: float) -> list[Mask]:

@@ -166,7 +166,7 @@ def test_who_would_hang_in_the_air_has_legs(witness: Witness, silhouettes: list[
 
 
 def test_who_has_his_feet_on_the_floor_needs_no_more(witness: Witness, silhouettes: list[np.ndarray]) -> None:
-    """One camera of six has a thing where his legs are, five see them; or shoes alone are taken from him."""
+    """Nothing is taken from him; or one camera of six has a thing where his legs are, and five see them."""
     nothing = [np.zeros_like(person) for person in silhouettes]
     assert not any(found.any() for found in witness.carrying(silhouettes, nothing))
     assert not any(
