@@ -30,6 +30,10 @@ DOCUMENT_LIMIT_BYTES = 16 * MB
 TEXT_LIMIT_BYTES = 512 * MB
 # Arrays of one archive, unpacked: two hours of packed masks of one camera of 1920 x 1080 at 5 Hz.
 ARRAYS_LIMIT_BYTES = 8192 * MB
+# numpy parses headers of arrays as Python, whose syntax trees of all threads have one count of depth in CPython 3.11
+# (its issue 106905): two archives read at once fail now and then with SystemError. Worst found: 1 reading in 400,
+# with the collector of garbage at work at every 20th object.
+_READ_TRIES = 5
 # Our own files nest 5 deep.
 MAX_DEPTH = 32
 # TOML and JSON know no bound for whole numbers; nothing here counts further than 64 bits.
@@ -226,12 +230,23 @@ def load_arrays(
                 path=path,
                 remedy="split it, or pack masks to bits",
             )
-        with np.load(path, allow_pickle=False) as arrays:
-            return {name: _whole(arrays[name]) for name in names}
+        return _arrays_of(path, names)
     except MocapError:
         raise
     except Exception as error:
         raise _bad_archive(path, what, error) from error
+
+
+def _arrays_of(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    n_left = _READ_TRIES
+    while True:
+        n_left -= 1
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                return {name: _whole(arrays[name]) for name in names}
+        except SystemError:
+            if not n_left:
+                raise
 
 
 def _bad_archive(path: Path, what: str, error: Exception) -> MocapError:
