@@ -61,7 +61,7 @@ _LAG_PRICE = 0.2
 _CHANGE_PRICE = 12.0
 _MIN_GAIN = 12.0
 _MIN_FRAMES = 5
-_LASTING_FRAMES = 25  # a lag or a misfit of fewer frames is no fault of the camera
+_LASTING_FRAMES = 25  # a lag or a misfit that fewer frames tell of is no fault of the camera
 _JOIN_FRAMES = 8  # stretches closer than this are one
 # A lag explains a stretch when it leaves at most this share of what no lag leaves.
 _LAG_LEAVES = 0.3
@@ -398,8 +398,10 @@ def _doubted(evidence: SilhouetteEvidence, unexplained: Array) -> list[CameraFau
             if fault.kind in is_excused and _background_stands(evidence, c, *stretch[:2]):
                 # Its mask holds what the hull of the others lacks: somebody whom too few of them see.
                 continue
-            # Somebody who comes in is seen by one camera first, and by the hull a few frames later: no lag.
-            lasts = stretch[1] - stretch[0] >= min(_LASTING_FRAMES, n_frames // 2)
+            # Who comes in is seen by one camera first, and by the hull a few frames later; who leaves, by one last.
+            # No lag.
+            n_known = np.count_nonzero(np.isfinite(unexplained[slice(*stretch[:2]), c, MAX_LAG_FRAMES]))
+            lasts = n_known >= min(_LASTING_FRAMES, n_frames // 2)
             if lasts or fault.kind not in ("lag", "misfit"):
                 doubted.append(fault)
     return doubted

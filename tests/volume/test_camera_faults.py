@@ -156,6 +156,14 @@ def test_a_dozen_early_frames_are_no_lag() -> None:
     assert find(masks) == ()
 
 
+def test_a_dozen_late_frames_before_he_is_gone_are_no_lag() -> None:
+    """Whoever leaves is seen by one camera last; the frames without him tell nothing."""
+    masks = clean()
+    masks[2] = [walk()[2][f - 6] if START <= f < START + 12 else m for f, m in enumerate(masks[2])]
+    gone = [[m if f < START + 12 else np.zeros_like(m) for f, m in enumerate(camera)] for camera in masks]
+    assert find(gone) == ()
+
+
 def test_a_lag_at_the_end_that_the_tighter_hull_contradicts_is_none() -> None:
     """As it was for somebody who walked past four cameras; there was no frame at which it began."""
     monitor = ConsistencyMonitor(RIG, GRID)
