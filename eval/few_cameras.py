@@ -3,13 +3,16 @@
     python -m eval.few_cameras [SESSION ...]     # two walks, among the development sessions
     python -m eval.few_cameras --test            # sessions that the foresight's numbers were not chosen on
     python -m eval.few_cameras --seeds 5         # the same, five times
+    python -m eval.few_cameras --cameras 3 --name furnished ../shared/dev_sessions/furnished furnished_throw \
+        furnished_pick_up furnished_sit          # among furniture
+    python -m eval.few_cameras --cameras 3 --name furnished_test furnished_test furnished_few_test furnished_pair_test
 
 Of every session pairs at about 50, 100 and 150 degrees, the most even and the narrowest three and four cameras, and
-all of them are run with the default preset from the videos. Columns: errors raw and after one offset per
-landmark, mm, MMTA %, and the foreseen deviation, mm, at the places where the persons of the truth are. Writes
-eval/results/few_cameras_{development,test}.csv, whole; what is in --work already is kept. --fit prints how some numbers
-of `ForesightSettings` foresee the errors of the development table. `python -m docs.make_few_cameras` puts the tables
-into the pages.
+all of them are run with the default preset from the videos; with --cameras 3 only the sets of three. Columns: errors
+raw and after one offset per landmark, mm, MMTA %, and the foreseen deviation, mm, at the places where the persons of
+the truth are. Writes eval/results/few_cameras_{development,test}.csv, or the table called --name, whole; what is in
+--work already is kept. --fit prints how some numbers of `ForesightSettings` foresee the errors of the development
+table. `python -m docs.make_few_cameras` puts the tables into the pages.
 """
 
 from __future__ import annotations
@@ -150,6 +153,7 @@ def fit(table: Path) -> None:
 def main() -> None:
     parser = session_parser(__doc__, "out/few_cameras")
     parser.add_argument("--seeds", type=int, default=1, help="runs of every set of cameras")
+    parser.add_argument("--cameras", type=int, help="sets of so many cameras alone")
     parser.add_argument("--fit", action="store_true", help="choose flesh_std_m on the development table")
     options: argparse.Namespace = parser.parse_args()
     if options.fit:
@@ -159,7 +163,8 @@ def main() -> None:
     for name in names_of(options, DEVELOPMENT, TEST):
         session = session_of(name, options.work)
         spots, _ = places_of(session)
-        for words, names in camera_sets(open_session(session).rig, spots.mean(axis=0)):
+        sets = camera_sets(open_session(session).rig, spots.mean(axis=0))
+        for words, names in [own for own in sets if options.cameras in (None, len(own[1]))]:
             for seed in range(options.seeds):
                 rows.append(row_of(session, words, names, options.work, seed))
                 print(rows[-1], flush=True)

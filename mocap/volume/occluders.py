@@ -36,7 +36,7 @@ EMPTY, PARTLY, FULL = 0, 1, 2  # of a cell, how much is foreground
 # Picture pixels per cell of the maps: an edge is known no better than to a voxel of 5 cm.
 CELL_PX = _mask_kernels.CELL_PX
 VOXEL_M = 0.05
-MIN_CAMERAS = 4  # with three, a camera that is hidden leaves two, and two cones cross in many places
+MIN_CAMERAS = 3  # of two, no other one says that somebody is where one sees nobody
 _MOST_ENTRIES = 8_000_000  # voxels times cameras of the grid of votes: 64 MB of tables
 # Twice the most that rooms without furniture give to any voxel (decision 34).
 _MIN_BLOCKED = 2
@@ -57,7 +57,7 @@ _PERSON_LITRES = 20.0
 BLOCKED_MARGIN_M = 0.1  # how far before the core of a person his own surface may lie
 MANY_CAMERAS = 6  # of so many hulls forgive one
 # Cameras whose foreground nothing surer explains; the rays of two cross in many places. Of four cameras two: one sees
-# nothing, and to another one side of somebody explains what it sees of the other.
+# nothing, and to another one side of somebody explains what it sees of the other. Of three for the same reasons one.
 _MIN_NEEDING = 3
 # Legs that too few cameras see for a volume. Who ends above this height without touching the floor is cut off; one
 # camera must show him at this share of the lower half of the heights below, so that who jumps is whole.
@@ -113,8 +113,9 @@ class OccluderLearner:
         self._n_looks += 1
         masks = [own == FULL for own in cells]
         grid, n = self._carver.grid, len(self._rig)
+        # Cones of two of three cameras cross in many places; who is needed there is told below.
         voxels = self._carver.carve(
-            masks, n_faulty_views=self._n_faulty, min_views=min(4, n), min_votes=min(MIN_VOTES, n)
+            masks, n_faulty_views=self._n_faulty, min_views=min(4, n), min_votes=min(MIN_VOTES, n - 1)
         )
         is_core, is_new = self._cores(voxels)
         if not is_core.any():

@@ -48,8 +48,15 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def run(session: Path, out: Path, kind: str, until: str = "track") -> StageStore:
-    config = load_config("default", ("output.formats=[]", f"observation={kind}", "pose.n_start_frames=1"))
+def run(session: Path, out: Path, kind: str, until: str = "track", occluders: str = "ignore") -> StageStore:
+    """occluders : silhouettes of a few frames tell of the cabinet, too, if they may."""
+    settings = (
+        f"observation={kind}",
+        f"volume.occluders={occluders}",
+        "output.formats=[]",
+        "pose.n_start_frames=1",
+    )
+    config = load_config("default", settings)
     run_session(session, out, config=config, until=until)
     return StageStore(next(out.rglob("carve")).parent)
 
@@ -90,8 +97,10 @@ def test_keypoints_with_left_and_right_exchanged_turn_nobody_about(session: Path
 def test_legs_that_one_camera_does_not_see_are_in_the_volume(session: Path, tmp_path: Path) -> None:
     ankle = POINTS[FRAME, KEYPOINTS.index("left_ankle")]
     opened = open_session(session)
-    for kind, has_legs in (("voxels", False), ("fused", True)):
-        store = run(session, tmp_path / kind, kind)
+    for kind, occluders, has_legs in (
+        ("voxels", "ignore", False), ("voxels", "learn", True), ("fused", "ignore", True),
+    ):  # fmt: skip
+        store = run(session, tmp_path / f"{kind}-{occluders}", kind, occluders=occluders)
         tracks = stored_tracks(store, opened.fps)
         hull = hulls_of_person(opened, store, int(tracks.person[0]))(FRAME)
         assert hull is not None

@@ -95,6 +95,8 @@ def test_nothing_is_asked_where_nothing_is_wanted_or_masks_are_given(
     given = copy_session(session, tmp_path / "given", masks=True)
     assert max(run(given, tmp_path / "taken over").values()) == 0
     assert stored_empty(StageStore(tmp_path / "taken over" / "store.zarr")) == []
-    monkeypatch.setattr(stage, "MANY_CAMERAS", len(CAMERAS))  # of which hulls forgive one
-    assert max(run(session, tmp_path / "many").values()) == 0
+    # Hulls of more forgive one; of fewer, those of things reach too far.
+    for told in (range(len(CAMERAS)), range(len(CAMERAS) + 1, 9)):
+        monkeypatch.setattr(stage, "_FLOOR_TELLS", told)
+        assert max(run(session, tmp_path / f"to {told}").values()) == 0
     assert asked == []

@@ -163,6 +163,18 @@ def test_phantoms_between_persons_are_no_witnesses():
         assert learn_occluders(ring_rig(), ROOM, frames).is_empty
 
 
+@pytest.mark.parametrize("chosen", [(0, 2, 4), (0, 1, 3), (3, 4, 5)])
+def test_phantoms_of_two_persons_are_no_witnesses_for_three_cameras(chosen):
+    n = 40
+    walkers = circle(n, -0.8, -0.3, 0.4), circle(n, 0.8, -0.2, 2.5)
+    frames = [[masks[i] for i in chosen] for masks in pictures(*walkers, with_box=False)]
+    rig = CameraRig(tuple(ring_rig()[i] for i in chosen))
+    generous = Carver(rig, ROOM).carve(frames[0], n_faulty_views=1, min_votes=2)
+    true = Carver(rig, ROOM).carve(frames[0], n_faulty_views=0)
+    assert len(generous) > 2 * len(true)  # the experiment is worth something
+    assert learn_occluders(rig, ROOM, frames).is_empty
+
+
 def test_a_cupboard_is_learnt_from_two_persons():
     n, places = N_FRAMES, path(N_FRAMES)
     walkers = places, np.roll(places, n // 2, axis=0)
@@ -267,10 +279,12 @@ def test_legs_that_two_cameras_see_are_not_taken_for_air():
     assert not any(found.hides(camera, legs + np.array([0.0, 0.0, 1.0])).any() for camera in rig)
 
 
-@pytest.mark.parametrize("chosen", [(0, 1, 3, 4), (0, 2, 3, 5), (0, 1, 2, 4)])
+@pytest.mark.parametrize(
+    "chosen", [(0, 1, 3, 4), (0, 2, 3, 5), (0, 1, 2, 4), (0, 2, 4), (0, 3, 5), (1, 2, 5)]
+)
 @pytest.mark.parametrize("things", [(BOX, CABINET), (BLOCK, CABINET)], ids=["cupboard", "block"])
-def test_with_four_cameras_things_that_hide_from_two_at_once_are_learnt(things, chosen):
-    """The other two see what the hull lacks: they were taken for cameras that have moved, and nothing was learnt."""
+def test_with_three_or_four_cameras_things_that_hide_from_one_or_two_at_once_are_learnt(things, chosen):
+    """The others see what the hull lacks: they were taken for cameras that have moved, and nothing was learnt."""
     rig, walk = CameraRig(tuple(ring_rig()[i] for i in chosen)), path(N_FRAMES)
     frames = []
     for at in walk:
@@ -336,10 +350,10 @@ def test_a_camera_that_never_sees_anybody_is_hidden_where_they_walk():
     assert not any(found.hides(c, middle).any() for i, c in enumerate(ring_rig()) if i != 3)
 
 
-def test_three_cameras_learn_nothing():
-    rig = CameraRig(tuple(ring_rig())[:3])
-    assert learn_occluders(rig, ROOM, [masks[:3] for masks in clip(True)]).is_empty
-    with pytest.raises(ValueError, match="at least 4 cameras"):
+def test_two_cameras_learn_nothing():
+    rig = CameraRig(tuple(ring_rig())[:2])
+    assert learn_occluders(rig, ROOM, [masks[:2] for masks in clip(True)]).is_empty
+    with pytest.raises(ValueError, match="at least 3 cameras"):
         OccluderLearner(rig, ROOM)
 
 

@@ -27,6 +27,9 @@ from mocap.volume.standing import StandingScene, nearest_of
 _LOOKS_PER_S = 15.0
 _SOMEBODY = 0.0005  # of a picture: 150 of 640 x 480 pixels, a person 20 m away
 _IDLE_SHARE, _FEW_FRAMES = 0.9, 5
+# Cameras to whom the floor tells what stands there. Hulls of more forgive one, and are wider for what one more does not
+# say; of three, those of things reach far before and behind them (decisions 81 and 98).
+_FLOOR_TELLS = range(4, MANY_CAMERAS)
 _MOST_LOOKS = 600  # frames of a clip that are looked at; a clip of an hour costs no more than one of a minute
 
 
@@ -68,8 +71,7 @@ def _start(job: Job) -> _Look:
 def _step(look: _Look, seen: Seen) -> tuple[_Look, Seen, Sequence[Row]]:
     assert seen.masks is not None
     session = look.job.session
-    # Hulls of more cameras forgive one, and are wider for what one more does not say (decision 81).
-    if look.learner is not None and len(seen.empty) and len(session.rig) < MANY_CAMERAS:
+    if look.learner is not None and len(seen.empty) and len(session.rig) in _FLOOR_TELLS:
         small = CameraRig(tuple(camera.reduced(EMPTY_REDUCTION) for camera in session.rig))
         look.learner.things = things_on_floor(small, grid_of(session, look.job.config), seen.empty)
     if look.learner is not None and seen.index % look.stride == 0:
