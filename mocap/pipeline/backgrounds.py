@@ -38,7 +38,7 @@ from mocap.pipeline.empty_clips import REMEDY, fit_of_clip, unlike_recording, wo
 from mocap.volume import Floor, Guess, Witness, choose_grid
 
 _LEAST_FRAMES = 3
-_LEAST_CAMERAS = 4  # with three, a camera that is wrong leaves two, and two cones cross in many places
+_LEAST_CAMERAS = 3  # two are no witnesses of what one of them takes for the room (decision 99)
 _VOXEL_M = 0.03
 _LEAST_THING_PX = 150  # of a picture of the working size: less says of no thing where it is
 _OWN_CHANGE = 0.1  # of a piece: so much of a thing does not change in nearly all cameras at once

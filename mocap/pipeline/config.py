@@ -37,7 +37,7 @@ class SegmentationConfig(_Section):
     background: Literal["auto", "clip", "recording", "first", "median"] = "auto"
     """Where the background is learnt: `clip` = background/, `recording` = the videos themselves, with the other cameras
     as witnesses of who stays in place, `first` = the first frames of the videos, `median` = their temporal median;
-    `auto` = clip if there is one, else recording, with fewer than four cameras median."""
+    `auto` = clip if there is one, else recording, with fewer than three cameras median."""
     first_frames: int = Field(default=30, ge=1)
     """Frames that `first` learns from; the room must be empty in them."""
     median_frames: int = Field(default=50, ge=3)

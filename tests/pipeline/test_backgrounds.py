@@ -56,6 +56,20 @@ def test_the_recording_is_its_own_background(root: Path) -> None:
     assert iou(session, backgrounds) > MIN_IOU
 
 
+@pytest.mark.parametrize(("n_cameras", "kind"), [(2, "median"), (3, "recording")])
+def test_it_takes_three_cameras_to_tell_who_stays(
+    root: Path, tmp_path: Path, n_cameras: int, kind: str
+) -> None:
+    some = copy_session(root, tmp_path / "some")
+    settings = some / "session.toml"
+    listed = ", ".join(f'"{name}"' for name in CAMERAS[:n_cameras])
+    settings.write_text(f"cameras = [{listed}]\n{settings.read_text()}")
+    warnings = list[str]()
+    backgrounds = learn_backgrounds(open_session(some), CONFIG, warnings)
+    assert [b.kind for b in backgrounds] == [kind] * n_cameras
+    assert any(f"background of {', '.join(CAMERAS[:n_cameras])} was learnt" in w for w in warnings)
+
+
 def test_who_always_covers_a_place_is_said_once_for_all_cameras(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
