@@ -21,6 +21,13 @@ def test_the_pages_say_what_the_tables_say(which: str) -> None:
     assert with_table(page, "few cameras", text) == page
 
 
+def test_the_page_says_what_the_tables_among_furniture_say() -> None:
+    page = make_few_cameras.PAGES["all"].read_text(encoding="utf-8")
+    text = make_few_cameras.table_of_rooms(make_few_cameras.rows(make_few_cameras.FURNISHED))
+    assert "nan" not in text
+    assert with_table(page, "among furniture", text) == page
+
+
 def row(session: str, n: int, places: str, seed: int, raw: float) -> dict[str, str]:
     return {
         "session": session, "n_cameras": str(n), "places": places, "seed": str(seed),
