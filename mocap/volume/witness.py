@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from mocap.data import CameraRig, VoxelGrid
 from mocap.volume.carve import Carver
 from mocap.volume.components import connected_components
+from mocap.volume.lost_legs import lost_legs
 from mocap.volume.residuals import silhouette
 from mocap.volume.surface import surface_voxels
 
@@ -149,8 +150,11 @@ class Witness:
         return voxels[((litres >= _PERSON_LITRES) & (top >= _PERSON_TOP_M))[labels]]
 
     def _whole(self, voxels: Voxels) -> Voxels:
-        """The voxels with lower legs and heads, where those can be missing."""
-        return self._to_the_crown(self._to_the_floor(voxels, _CUT_KNEE_M, _CUT_REACH_M))
+        """The voxels with legs and heads, where those can be missing."""
+        labels, n = connected_components(voxels, self.grid)
+        legs = [lost_legs(voxels[labels == k], self.grid) for k in range(n)]
+        standing = np.unique(np.concatenate([voxels, *legs])).astype(np.int32)
+        return self._to_the_crown(self._to_the_floor(standing, _CUT_KNEE_M, _CUT_REACH_M))
 
     def _to_the_floor(self, voxels: Voxels, knee_m: float, reach_m: float) -> Voxels:
         """The voxels with legs and feet below what reaches below the knee."""

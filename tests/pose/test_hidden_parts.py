@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from flesh_voxels import make_flesh
+from test_occluders import ring_rig
 from test_pose_estimate import BODY, series_of
 
 from mocap.body import landmarks_of, neutral_state
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, VoxelGrid
+from mocap.io.session import Session
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
+from mocap.pipeline.stages.pose import PersonViews
 from mocap.pose.deviation import FrameSeries, landmark_covariances
 from mocap.pose.method import DeviationSettings
 from mocap.pose.result import warnings_of_volumes
 from mocap.pose.volume import PersonHull, VolumeEvidence, pack_volume
-from mocap.volume import surface_voxels
+from mocap.volume import no_occluders, surface_voxels
 
 VOXEL_M = 0.04
 FLESH = make_flesh("anthropometric", 1.74, VOXEL_M)
@@ -89,6 +94,40 @@ def test_legs_that_nobody_sees_carry_the_body() -> None:
         for fit in (behind.residuals, usual)
     ]
     assert pull[0] > pull[1] + 30.0
+
+
+def test_legs_that_masks_have_lost_are_unknown() -> None:
+    """Nothing hides them: the masks of all cameras end at the hips, and below them is the floor."""
+    grid, whole = FLESH.grid, FLESH.hull(state(), margin_m=VOXEL_M).voxels
+    session = SimpleNamespace(rig=ring_rig())
+    views = PersonViews(cast(Session, session), grid, no_occluders())
+    hips = landmarks_of(FLESH.body, state()[None])[0][LANDMARKS.index("pelvis"), 2]
+
+    def hull_of(voxels: np.ndarray, unknown: np.ndarray) -> PersonHull:
+        rows = {
+            "voxels": voxels.astype(np.uint32),
+            "unknown": unknown.astype(np.uint32),
+            "is_surface": np.ones(len(voxels), dtype=np.uint8),
+            "used": np.ones(len(session.rig), dtype=np.bool_),
+        }
+        found = views.hull(rows, np.ones(len(voxels), dtype=np.uint8), 1, dict)
+        assert found is not None
+        return replace(found, outlines=None, rays=None)  # of masks and pictures, of which there are none
+
+    none, beside = np.zeros(0, dtype=np.int32), np.array([3, 5], dtype=np.int32)
+    trunk = whole[grid.centers(whole)[:, 2] > hips]
+    torn, complete = hull_of(trunk, beside), hull_of(whole, none)
+    assert not complete.unknown.size
+    assert np.isin(np.setdiff1d(whole, trunk), torn.unknown).mean() > 0.97
+    assert np.isin(beside, torn.unknown).all()
+    assert np.all(np.diff(torn.unknown) > 0)
+    empty = PersonHull(trunk, surface_voxels(trunk, grid))
+    lost, kept = (float(evidence(hull).evidence([state()])[0]) for hull in (empty, torn))
+    assert kept > lost + 50.0
+    assert evidence(torn).hides_legs
+    fit = evidence(torn).fit(state())
+    assert not fit.observed[[ANKLE, LANDMARKS.index("left_knee")]].any()
+    assert fit.unseen_std[ANKLE] > 0.1
 
 
 def test_legs_that_lie_in_each_other_are_not_observed_among_furniture() -> None:
@@ -188,7 +227,8 @@ def test_hidden_landmarks_are_named_with_their_frames() -> None:
     assert told(series_of(states, observed=seen)) == []
     (warning,) = told(series_of(states, observed=seen, hidden_std=hidden))
     assert warning.startswith(
-        "person 4: right_ankle are hidden from all cameras or all but one, or outside their pictures, in frames 21-22:"
+        "person 4: right_ankle are hidden from all cameras or all but one, outside their pictures, or lost from masks "
+        "so that the volume hangs in the air, in frames 21-22:"
     )
     (warning,) = told(series_of(states, observed=seen, hidden_std=hidden, doubtful=hidden > 0))
     assert warning.startswith("person 4: right_ankle may be elsewhere in frames 21-22:")

@@ -143,6 +143,16 @@ def test_lower_legs_and_heads_that_all_cuts_lack_are_allowed(
         assert not likely[person & ~grown(cut, 2)].any()
 
 
+def test_legs_that_all_cuts_lack_from_the_hips_on_are_allowed(
+    witness: Witness, silhouettes: list[np.ndarray]
+) -> None:
+    cuts = [person & ~lower_half(person) for person in silhouettes]
+    for (allowed, likely, _), person, cut in zip(witness.corrected(cuts), silhouettes, cuts, strict=True):
+        assert allowed[person].mean() > 0.97
+        assert np.count_nonzero(allowed) < 4 * np.count_nonzero(person)  # room for a stride
+        assert not likely[person & ~grown(cut, 2)].any()
+
+
 def test_nobody_gives_nothing(witness: Witness, silhouettes: list[np.ndarray]) -> None:
     empty = [np.zeros_like(s) for s in silhouettes]
     assert not any(region.any() for region in Witness(ring_rig(), ROOM, empty).regions())

@@ -65,6 +65,7 @@ from mocap.threads import in_parallel
 from mocap.tracking.renaming import Renaming, renamed
 from mocap.volume import surface_voxels
 from mocap.volume.known_persons import missing_parts
+from mocap.volume.lost_legs import lost_legs
 
 
 def pose_stage(job: Job) -> None:
@@ -264,7 +265,10 @@ class PersonViews:
             return None
         # Surface of the person alone, so that a neighbour does not hide a side of him.
         voxels = arrays["voxels"][keep].astype(np.int32, copy=False)
+        # Where masks have lost his legs nothing is known of them: they are not in the air.
         unknown = arrays["unknown"].astype(np.int32, copy=False)
+        if len(legs := lost_legs(voxels, grid)):
+            unknown = np.union1d(unknown, legs)
         is_surface = surface_voxels(voxels, grid, unknown)
         others = arrays["voxels"][(owner > 0) & ~keep & arrays["is_surface"].astype(np.bool_)]
 
