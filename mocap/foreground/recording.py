@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.arrays import Image, Mask
+from mocap.arrays import Image, Mask, largest_channel
 from mocap.foreground import _kernels
 from mocap.foreground.model import STD_FLOOR, Background, statistics_of, thinned
 from mocap.foreground.refine import refine_mask
@@ -82,9 +82,9 @@ def key_pictures(images: Iterable[Image]) -> KeyPictures:
     stack = np.stack([_reduced(image, factor) for image in _same_light(samples)])
     soft = np.stack([cv2.blur(image, (3, 3)) for image in stack])
     usual, spread, moved = statistics_of(soft, _FAR)
-    within = spread.max(axis=2)
+    within = largest_channel(spread)
     noise = max(float(np.median(within)), _LEAST_NOISE)
-    total = soft.std(axis=0, dtype=np.float32).max(axis=2)
+    total = largest_channel(soft.std(axis=0, dtype=np.float32))
     sway = cv2.blur(within / noise, (5, 5))
     unrest = cv2.blur(total / noise, (5, 5)) > _UNREST
     active = cv2.morphologyEx(unrest.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
@@ -116,7 +116,7 @@ def first_cuts(keys: KeyPictures, region: Mask) -> list[Mask]:
     empty = cv2.inpaint(keys.usual, unknown.astype(np.uint8), 5, cv2.INPAINT_TELEA)
     cuts = []
     for picture in keys.pictures:
-        differs = cv2.absdiff(picture, empty).max(axis=2) > _DIFFERS
+        differs = largest_channel(cv2.absdiff(picture, empty)) > _DIFFERS
         likely = region & keys.is_active & differs
         # A shirt of the floor's colour is told where it hides a wall, by how it differs from what is painted in there.
         unlike = np.clip(_MIDDLE + _CONTRAST * (picture.astype(np.float32) - empty), 0, 255).astype(np.uint8)
@@ -173,7 +173,7 @@ def with_floor(
     height, width = background.mean.shape[:2]
     colour, limit = (_enlarged(part, (width, height)) for part in (colour, limit))
     is_asked = (_enlarged(region.astype(np.uint8), (width, height)) > 0) & (limit >= 0)
-    differs = np.abs(cv2.blur(background.mean, (3, 3)) - colour).max(axis=2) > limit
+    differs = largest_channel(np.abs(cv2.blur(background.mean, (3, 3)) - colour)) > limit
     covered = np.zeros_like(is_asked) if background.covered is None else background.covered
     hidden = cv2.morphologyEx((is_asked & (differs | covered)).astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
     hidden = (cv2.dilate(hidden, _disc(_RIM_PX * reduction_of(width))) > 0) & is_asked
@@ -259,7 +259,7 @@ def stirring_of(keys: KeyPictures) -> NDArray[np.float32]:
         shade = cv2.blur(off / usual * near[..., None], (_SHADE_PX, _SHADE_PX)) / weight
         squares += ((off - shade * usual) * near[..., None]) ** 2
         n += near
-    spread = np.sqrt(squares.max(axis=2) / np.maximum(n, 1))
+    spread = np.sqrt(largest_channel(squares) / np.maximum(n, 1))
     return cv2.blur(spread / max(float(np.median(spread)), _LEAST_NOISE), (5, 5))
 
 

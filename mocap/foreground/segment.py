@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache, reduce
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.arrays import Image, Mask
+from mocap.arrays import Image, Mask, largest_channel
 from mocap.foreground import _kernels
 from mocap.foreground.model import Background
 
@@ -203,7 +204,7 @@ class Segmenter:
         self._mean = np.array(background.mean, dtype=np.float32).reshape(height, -1)
         self._background = np.clip(np.round(self._mean), 0, 255).astype(np.uint8)
         self._learnt_noise = float(np.median(background.std))
-        limit = np.maximum(s.threshold_sigma * background.std.max(axis=2), s.min_difference)
+        limit = np.maximum(s.threshold_sigma * largest_channel(background.std), s.min_difference)
         limit += s.edge_jitter_px * _slope(self._background.reshape(self.shape))
         self._limit = limit.astype(np.float32)
         self._outside = np.zeros((height, width), dtype=np.uint8)
@@ -377,7 +378,7 @@ class Segmenter:
             np.ascontiguousarray(picture[some]),
             np.ascontiguousarray(self._background.reshape(self.shape)[some]),
         )
-        return float((difference.max(axis=2) > self._threshold[some]).mean())
+        return float((largest_channel(difference) > self._threshold[some]).mean())
 
     def _light_field(self, rows: Bytes, gain: float) -> NDArray[np.float32] | None:
         """The light relative to the background, (H, W), where it has changed unevenly; None where it has not."""
@@ -494,9 +495,9 @@ class Segmenter:
         brightness, colour = (cv2.blur(difference, (3, 3)) for difference in (bright, cv2.max(red, blue)))
         around = cv2.dilate(colour, _square(2 * _COLOUR_BLOCK_PX - 1))
         smeared = colour < cv2.convertScaleAbs(around, alpha=s.smeared_share)
-        smeared &= brightness < s.min_difference
+        smeared &= brightness < math.ceil(s.min_difference)  # as whole as brightness is
         inside = (slice(y, y + h), slice(x, x + w))
-        candidate[inside][smeared] = 0
+        candidate[inside] &= ~smeared
         np.copyto(largest[inside], bright, where=smeared)
 
     def _adapt(self, rows: Bytes, protect: Mask | None) -> None:
@@ -592,7 +593,7 @@ def _slope(background: Image) -> NDArray[np.float32]:
     """Largest difference to a neighbouring pixel over the channels, (H, W) grey levels per pixel."""
     above = cv2.dilate(background, _square(3)) - background
     below = background - cv2.erode(background, _square(3))
-    return np.maximum(above, below).max(axis=2).astype(np.float32)
+    return largest_channel(np.maximum(above, below)).astype(np.float32)
 
 
 def _area_scale(shape: tuple[int, ...]) -> float:

@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import largest_channel
 from mocap.data import Camera, CameraRig
 from mocap.data.depth import DepthUnits
 from mocap.errors import MocapError
@@ -522,7 +523,7 @@ class _MaskClip:
     def read(self, frame: int) -> Mask | None:
         if self._video is not None:
             image = self._video.read(frame)
-            return None if image is None else np.asarray(image.max(axis=2) > MASK_THRESHOLD)
+            return None if image is None else np.asarray(largest_channel(image) > MASK_THRESHOLD)
         if self._files is None or frame >= len(self._files):
             return None
         file = self._files[frame]
@@ -530,7 +531,7 @@ class _MaskClip:
         level = MASK_THRESHOLD if file.suffix.lower() in {".jpg", ".jpeg"} else 0
         if picture.ndim == 3:
             # The alpha channel of an opaque picture is 255 everywhere and says nothing.
-            picture = picture[:, :, :3].max(axis=2)
+            picture = largest_channel(picture[:, :, :3])
         return np.asarray(picture > level)
 
     def close(self) -> None:

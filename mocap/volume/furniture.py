@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import largest_channel
 from mocap.data import CameraRig, VoxelGrid
 from mocap.volume.carve import pixels_in_all
 from mocap.volume.components import connected_components
@@ -76,7 +77,7 @@ def _shown(
 
     floor, limit : as of `Floor.behind`.
     """
-    differs = np.abs(cv2.blur(picture, (3, 3)) - floor).max(axis=2) > limit
+    differs = largest_channel(np.abs(cv2.blur(picture, (3, 3)) - floor)) > limit
     differs = (
         cv2.morphologyEx(differs.view(np.uint8), cv2.MORPH_CLOSE, np.ones((_GAP_PX, _GAP_PX), np.uint8)) > 0
     )

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import largest_channel
 from mocap.data import Camera
 from mocap.errors import MocapError
 from mocap.foreground import (
@@ -171,7 +172,7 @@ def region_of_interest(session: Session, camera: Camera) -> NDArray[np.bool_] | 
     if camera.name in session.roi_sources:
         path = session.roi_sources[camera.name]
         picture = next(iter_clip(path, size=size, camera=camera.name))
-        region = picture.max(axis=2)
+        region = largest_channel(picture)
     elif camera.name in session.roi_px:
         corners = np.round(np.array(session.roi_px[camera.name]).clip(-1e5, 1e5)).astype(np.int32)
         cv2.fillPoly(region, [corners], 255)
