@@ -93,6 +93,33 @@ def answering(
 
 
 @contextmanager
+def given(
+    items: Callable[[], AbstractContextManager[Iterator[Answer]]], n_ahead: int
+) -> Iterator[Iterator[Answer]]:
+    """What a process of its own gives, item by item; it has begun that many when the next one is waited for.
+
+    items : begins them there, and is left when this is; they do not end by themselves. For errors, and where large
+    arrays lie, see `answering`, which has nothing to do between an answer and the next question.
+    """
+
+    @contextmanager
+    def serve() -> Iterator[Callable[[None], Answer]]:
+        with items() as coming:
+            yield lambda _: next(coming)
+
+    with _served(serve) as (tell, heard):
+        for _ in range(n_ahead):
+            tell(None)
+
+        def taken() -> Iterator[Answer]:
+            while True:
+                tell(None)
+                yield heard()
+
+        yield taken()
+
+
+@contextmanager
 def begun(job: Callable[[], R], n_processes: int) -> Iterator[Callable[[], R]]:
     """A job that a forked process does while the body of the `with` statement runs in this one; gives what waits for
     the result, which must be something that can be sent.

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from mocap.errors import MocapError
-from mocap.forks import answering, begun, can_fork, forked, in_processes, shared_zeros
+from mocap.forks import answering, begun, can_fork, forked, given, in_processes, shared_zeros
 
 pytestmark = pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
 Tick = Callable[[int], None]
@@ -305,6 +305,49 @@ def test_what_answers_is_left_at_the_end(tmp_path: Path) -> None:
         assert ask(3) == 3
         assert not left.exists()
     assert left.exists()
+
+
+@pytest.mark.parametrize("n_ahead", [0, 1, 3])
+def test_items_come_in_order_from_a_process_that_is_so_many_ahead(n_ahead: int, tmp_path: Path) -> None:
+    begun_there, left = shared_zeros((1,)), tmp_path / "left"
+
+    @contextmanager
+    def items() -> Iterator[Iterator[tuple[int, int, np.ndarray]]]:
+        def made() -> Iterator[tuple[int, int, np.ndarray]]:
+            for k in range(1000):
+                begun_there[0] = k + 1
+                yield os.getpid(), k, np.full(100_000, k)
+
+        try:
+            yield made()
+        finally:
+            left.touch()
+
+    with given(items, n_ahead) as coming:
+        for k in range(5):
+            process, n, array = next(coming)
+            assert (n, array[0], array[-1]) == (k, k, k)
+            assert process != os.getpid()
+        time.sleep(0.3)
+        assert begun_there[0] == 5 + n_ahead
+    assert left.exists()
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
+
+
+def test_what_an_item_raises_is_raised_where_it_would_have_been_taken() -> None:
+    @contextmanager
+    def items() -> Iterator[Iterator[int]]:
+        def made() -> Iterator[int]:
+            yield 1
+            raise MocapError("no picture", remedy="another", frame=7)
+
+        yield made()
+
+    with given(items, 2) as coming:
+        assert next(coming) == 1
+        with pytest.raises(MocapError, match="no picture"):
+            next(coming)
 
 
 def test_it_ignores_ctrl_c_and_ends_with_who_asks() -> None:

@@ -12,9 +12,10 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import chain, repeat
 from typing import Any, TypeVar
 
-from mocap.forks import answering, can_fork
+from mocap.forks import can_fork, given
 from mocap.io.store import StageWriter
 from mocap.pipeline.stage import ClipWork, Ending, FrameWork, Job, Row, Seen, Sources, Stage
 from mocap.profiling import Measured, heard, measured_apart, part
@@ -24,6 +25,8 @@ T = TypeVar("T")
 
 # Frames that a stage may be ahead of the next one; pictures and volumes of no more are held.
 _AHEAD_FRAMES = 2
+# And that a forked process may be ahead of the thread that hears it: with none it waits for the next question.
+_TOLD_AHEAD = 1
 
 
 def walks(stages: Sequence[Stage]) -> Iterator[tuple[Stage, ...]]:
@@ -227,8 +230,8 @@ def _go(
 
     def by_process(found: Iterator[Found]) -> Iterator[Found]:
         spent = reads[0].keys() - {*(apart or ()), *(name for others in reads[1:] for name in others)}
-        ask = streams.enter_context(answering(lambda: _telling(first, found, spent)))
-        return streams.enter_context(Ahead(_told(first, ask), _AHEAD_FRAMES))
+        told = streams.enter_context(given(lambda: _telling(first, found, spent), _TOLD_AHEAD))
+        return streams.enter_context(Ahead(_heard(first, told), _AHEAD_FRAMES))
 
     stream: Iterator[Seen] = _frames(walkers, reads, streams)
     for walker, recorder in zip(walkers, recorders, strict=True):
@@ -245,20 +248,17 @@ Told = tuple[Found | None, float, Measured]
 
 
 @contextmanager
-def _telling(
-    walker: Walker, found: Iterator[Found], spent: Iterable[str]
-) -> Iterator[Callable[[None], Told]]:
+def _telling(walker: Walker, found: Iterator[Found], spent: Iterable[str]) -> Iterator[Iterator[Told]]:
     """In a forked process: tells what it finds, frame by frame.  spent : fields of `Seen` of no use from here on."""
     leaves: dict[str, Any] = dict.fromkeys(spent)
     less = ((replace(seen, **leaves), rows) for seen, rows in found)
     with measured_apart() as measured:
-        yield lambda _: (next(less, None), walker.busy_s[0], measured())
+        yield ((own, walker.busy_s[0], measured()) for own in chain(less, repeat(None)))
 
 
-def _told(walker: Walker, ask: Callable[[None], Told]) -> Iterator[Found]:
+def _heard(walker: Walker, told: Iterator[Told]) -> Iterator[Found]:
     """What a forked process finds."""
-    while True:
-        found, walker.busy_s[0], measured = ask(None)
+    for found, walker.busy_s[0], measured in told:
         heard(measured)
         if found is None:
             return

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from small_session import PLAIN, small_session
 
-from mocap.forks import answering, can_fork, shared_zeros
+from mocap.forks import can_fork, given, shared_zeros
 from mocap.io.store import StageStore
 from mocap.pipeline import run as run_module
 from mocap.pipeline import walk
@@ -172,11 +172,11 @@ def test_who_walks_forks_and_no_thread_does(tmp_path: Path, monkeypatch: pytest.
     """A process that a thread forks while a signal stops the walk is left by nobody, and waited for for ever."""
     forked_by = []
 
-    def watched(serve: Any) -> Any:
+    def watched(*told: Any) -> Any:
         forked_by.append(threading.current_thread())
-        return answering(serve)
+        return given(*told)
 
-    monkeypatch.setattr(walk, "answering", watched)
+    monkeypatch.setattr(walk, "given", watched)
     later = FrameWork(lambda job: {}, lambda job: 0, lambda n, seen: (n, seen, ()), lambda n: Ending(), ())
     stages = [two_halves(("masks",)), Stage("b", "pose", (), later, lambda job: StageReport())]
     run_together([(stage, job(tmp_path, n_threads=3)) for stage in stages])
