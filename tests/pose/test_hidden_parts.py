@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 from flesh_voxels import make_flesh
-from test_occluders import ring_rig
+from outline_world import make_rig
 from test_pose_estimate import BODY, series_of
 
 from mocap.body import landmarks_of, neutral_state
@@ -99,7 +99,7 @@ def test_legs_that_nobody_sees_carry_the_body() -> None:
 def test_legs_that_masks_have_lost_are_unknown() -> None:
     """Nothing hides them: the masks of all cameras end at the hips, and below them is the floor."""
     grid, whole = FLESH.grid, FLESH.hull(state(), margin_m=VOXEL_M).voxels
-    session = SimpleNamespace(rig=ring_rig())
+    session = SimpleNamespace(rig=make_rig())
     views = PersonViews(cast(Session, session), grid, no_occluders())
     hips = landmarks_of(FLESH.body, state()[None])[0][LANDMARKS.index("pelvis"), 2]
 
