@@ -96,9 +96,12 @@ def test_median_gain_and_scaling() -> None:
     factor = np.round(65536 / gain).astype(np.uint32)
     out = np.empty((H, 3 * W), np.uint8)
     image[:3] = 255
+    image[3:, 5], image[3:, 6], background[3:, 5:7] = kernels._SATURATED, kernels._SATURATED - 1, 254
     kernels.scale_rows(image.reshape(H, -1), background.reshape(H, -1), factor, out)
     expected = np.minimum((image.reshape(H, -1).astype(np.int64) * np.tile(factor, W) + 32768) >> 16, 255)
-    expected[:3] = np.maximum(expected[:3], background.reshape(H, -1)[:3])
+    is_full = image.reshape(H, -1) >= kernels._SATURATED
+    assert is_full[:3].all()
+    expected[is_full] = np.maximum(expected, background.reshape(H, -1))[is_full]
     np.testing.assert_array_equal(out, expected)
 
 

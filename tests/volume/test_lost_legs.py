@@ -40,11 +40,14 @@ def test_a_stray_voxel_is_no_leg() -> None:
     assert np.isin(lost_legs(seen, GRID), np.union1d(lost_legs(stray, GRID), stray)).all()
 
 
-@pytest.mark.parametrize("up_m", [0.0, 0.3])
-def test_who_stands_or_jumps_has_his_legs(up_m: float) -> None:
-    state = neutral_state(FLESH.body)
-    state[2] += up_m
-    assert not lost_legs(FLESH.hull(state).voxels, GRID).size
+def test_who_stands_has_his_legs() -> None:
+    assert not lost_legs(BODY, GRID).size
+
+
+@pytest.mark.parametrize(("lowest_m", "is_lost"), [(0.34, False), (0.46, True)])
+def test_who_jumps_with_his_knees_bent_has_his_legs(lowest_m: float, is_lost: bool) -> None:
+    crouched = np.setdiff1d(above(lowest_m), above(lowest_m + 1.2))
+    assert bool(lost_legs(crouched, GRID).size) == is_lost
 
 
 def test_who_is_whole_may_hang_in_the_air() -> None:
