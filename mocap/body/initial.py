@@ -16,6 +16,7 @@ from mocap.body.model import Body
 # somebody who stands, no height can be read from it.
 LOWEST_STANDING_TOP_M = 1.45
 _LOWEST_CHILD_TOP_M = 0.7
+_RISEN = 1.05  # heads of people who walk or box differ by less
 # Volume over top cubed: 0.017 to 0.027 for hulls of people who stand, children too; 0.042 and more for people who sit.
 _SLENDER = 0.032
 _FEET_M = 0.15  # a hull that begins higher above the floor is cut off, by a table perhaps
@@ -86,6 +87,26 @@ _POSES: dict[str, dict[str, float]] = {
         "waist_y": 0.3,
     },
 }
+_ALONG = {"right_hip_y": -0.2, "left_hip_y": -0.2, "right_knee_y": 0.3, "left_knee_y": 0.3}
+_BENT = {"right_hip_y": -0.9, "left_hip_y": -0.9, "right_knee_y": 1.5, "left_knee_y": 1.5}
+_ARMS_AHEAD = {
+    "right_shoulder_x": 1.2,
+    "left_shoulder_x": -1.2,
+    "right_shoulder_z": 1.0,
+    "left_shoulder_z": -1.0,
+}
+# Poses of a trunk that lies or is carried by hands and knees, for hulls that are lower than anybody sits.
+_LOW_POSES: dict[str, dict[str, float]] = {kind: _POSES[kind] for kind in ("sit", "crouch")} | {
+    "all_fours": _ARMS_AHEAD
+    | {"root_pitch": 1.3, "right_hip_y": -1.3, "left_hip_y": -1.3, "right_knee_y": 1.5, "left_knee_y": 1.5},
+    "on_elbows": _POSES["guard"] | _ALONG | {"root_pitch": 1.2},
+    "prone": _ARMS_AHEAD | {"root_pitch": 1.4},
+    "supine": {"root_pitch": -1.4} | _ALONG,
+    "supine_knees_up": {"root_pitch": -1.4} | _BENT,
+    "on_left_side": {"root_roll": -1.5} | _BENT,
+    "on_right_side": {"root_roll": 1.5} | _BENT,
+}
+_LYING_SHARE = 0.45
 N_KINDS = len(_POSES)  # of starting poses, each in all directions
 
 
@@ -164,12 +185,23 @@ def height_from_tops(
     if not is_seen.any():
         return HeightEstimate(DEFAULT_HEIGHT_M, False)
     top = float(np.quantile(tops[is_seen], 0.9))
+    stands = is_seen if upright is None else is_seen & upright
+    if stands.any():
+        standing = float(np.quantile(tops[stands], 0.9))
+        if standing > _RISEN * top:
+            top = standing  # he lies or sits for most of the time
     lowest = LOWEST_STANDING_TOP_M
     if upright is not None and upright[is_seen & (tops > 0.95 * top)].mean() > 0.5:
         lowest = _LOWEST_CHILD_TOP_M
     if not lowest <= top <= HIGHEST_STANDING_TOP_M:
         return HeightEstimate(DEFAULT_HEIGHT_M, False)
     return HeightEstimate(top - 0.5 * voxel_size_m, True)
+
+
+def is_low(centers: Array, body: Body) -> bool:
+    """Whether one person's hull is lower than he sits: he lies, or is on hands and knees.  centers : (N, 3) m."""
+    bottom, top = np.quantile(centers[:, 2], [0.002, 0.95])
+    return bool(top - bottom < _LYING_SHARE * body.height_m)
 
 
 def candidate_states(
@@ -189,8 +221,8 @@ def candidate_states(
     centroid = centers.mean(axis=0)
     floor = float(np.quantile(centers[:, 2], 0.002))
     states, labels = [], []
-    for label, angles in _POSES.items():
-        low = label in ("sit", "crouch")
+    for label, angles in (_LOW_POSES if is_low(centers, body) else _POSES).items():
+        low = label in _LOW_POSES
         if is_standing is not None and low == is_standing:
             continue
         base = neutral_state(body)

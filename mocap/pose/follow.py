@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, landmarks_of
 from mocap.body.average import mean_state
+from mocap.body.kinematics import faces_level, facing_of
 from mocap.filters import FILTERS, FilterInfo, ParticleState, initial_particles
 from mocap.forks import can_fork, forked
 from mocap.geometry.rigid import wrap_angle
@@ -445,9 +446,11 @@ class OnePose:
 
     def _faces_backwards(self, state: Array) -> bool:
         """Whether a pose (D,) faces against the way that the person goes."""
-        numbers, yaw = self.settings.method.start, self.tools.body.yaw_column
+        numbers, body = self.settings.method.start, self.tools.body
         heading = heading_of(walking_velocity(self.clip, self._row, numbers), numbers)
-        return heading is not None and yaw is not None and float(np.cos(state[yaw] - heading)) < 0.0
+        if heading is None or body.yaw_column is None or not faces_level(body, state):
+            return False
+        return bool(np.cos(facing_of(body, state) - heading) < 0.0)
 
     def _restarted(self, now: Candidate, rng: np.random.Generator) -> Candidate:
         evidence: WholeBodyEvidence = self._evidence  # type: ignore[assignment]

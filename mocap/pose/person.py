@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
-from mocap.body.initial import HeightEstimate, head_top
+from mocap.body.initial import HeightEstimate, head_top, is_low
 from mocap.forks import in_processes, shared_zeros
 from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
 from mocap.pose.evidence import FrameEvidence, PersonClip
@@ -79,13 +79,14 @@ def start_person(
     if not usable:
         raise ValueError(f"person {clip.person} has no frame with a usable hull")
     numbers = tools.settings.method.start
-    # Where no motion will tell front from back: look harder.
-    factor = numbers.short_factor if len(usable) < numbers.short_frames else 1
+    rows = _where_to_start(clip, usable, height)
+    # Where no motion will tell front from back, or a flat hull head from feet: look harder.
+    is_hard = len(usable) < numbers.short_frames or any(_is_low(clip, row) for row in rows)
+    factor = numbers.short_factor if is_hard else 1
     n_frames = min(tools.settings.n_start_frames, len(usable))
     n_first = affordable_first_poses(numbers, factor * tools.settings.n_first_poses, n_frames)
     searching = replace(tools, settings=replace(tools.settings, n_first_poses=n_first))
     with part("first poses"):
-        rows = _where_to_start(clip, usable, height)
         search, tried = _most_promising(clip.with_tools(searching), rows, seed=seed)
     evidence = search.evidence
     assert isinstance(evidence, VolumeEvidence)  # the clip is one of volumes
@@ -106,6 +107,12 @@ def start_person(
         with part("size"):
             tools, height, best = _sized(clip, height, best, seed=seed)
     return Start(replace(tools, surface_fit=followed.surface_fit), height, best, trial, len(usable))
+
+
+def _is_low(clip: VolumeClip, row: int) -> bool:
+    """Whether the person lies in a row of a clip, or is on hands and knees."""
+    tools, hull = clip.observation.tools, clip.observation.hull_of(int(clip.frames[row]))
+    return hull is not None and is_low(tools.grid.centers(hull.voxels), tools.body)
 
 
 def _search_at(clip: VolumeClip, row: int) -> PoseSearch:

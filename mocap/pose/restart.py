@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import candidate_states
+from mocap.body.kinematics import facing_of
 from mocap.filters import initial_particles
 from mocap.filters.apf import ApfSettings
 from mocap.pose.method import BeamSettings, RestartSettings
@@ -123,7 +124,7 @@ def restarted_pose(
     numbers = search.settings.method.restart
     body = search.body
     yaw = body.yaw_column
-    facing = 0.0 if yaw is None else float(state[yaw])
+    facing = 0.0 if yaw is None else facing_of(body, state)
     if search.heading is not None and np.cos(facing - search.heading) < numbers.facing_cosine:
         facing = search.heading
     starts, _ = candidate_states(body, search.evidence.places, np.array([facing]))
@@ -132,7 +133,7 @@ def restarted_pose(
         moved = good.copy()
         moved[:3] = state[:3]
         if yaw is not None:
-            moved[yaw] = facing
+            moved[yaw] += facing - facing_of(body, good)
         states.append(moved)
     problem = search.evidence.search
     std = numbers.std_factor * search.std

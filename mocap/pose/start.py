@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.body import Body, candidate_states
-from mocap.body.initial import N_KINDS
+from mocap.body.initial import N_KINDS, is_low
+from mocap.body.kinematics import front_of, joint_transforms
 from mocap.filters import ParticleState, initial_particles
 from mocap.filters.apf import ApfSettings, apf_step
 from mocap.pose.evidence import PersonClip, WholeBodyEvidence
@@ -62,6 +63,12 @@ class PoseSearch:
         numbers = self.settings.method.start
         std = np.where(self.body.is_position, numbers.search_std_m, numbers.search_std_rad)
         return np.where(self.evidence.tools.is_searched, std, 0.0)
+
+    @property
+    def is_low(self) -> bool:
+        """Whether the person lies, or is on hands and knees: then every kind of pose has its turn, as rough poses of a
+        flat hull do not tell its ends and sides apart."""
+        return is_low(self.evidence.places, self.body)
 
     def score(self, states: Array) -> Array:
         """Log-likelihood of states (N, D) with the prior on the direction, (N,)."""
@@ -152,7 +159,10 @@ def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[Fir
         survival_rate=numbers.brief_survival_rate,
     )
     n_promising = numbers.brief_factor * search.settings.n_first_poses
-    promising = np.argsort(-value.max(axis=1), kind="stable")[:n_promising]
+    promising = np.argsort(-value.max(axis=1), kind="stable")
+    if search.is_low:
+        promising = promising[_in_turn([labels[k] for k in promising.tolist()])]
+    promising = promising[:n_promising]
     starts = [(ParticleState(copies[k], equal), labels[k]) for k in promising.tolist()]
     tried = search.attempts(starts, brief, is_brief=True, rng=rng)
     return sorted(tried, key=lambda found: -found.log_likelihood)
@@ -163,7 +173,8 @@ def settle_first_poses(
 ) -> list[FirstPose]:
     """The best pose after following the best starts to the end, and the best one that faces the other way."""
     numbers = search.settings.method.start
-    chosen = list(tried[: search.settings.n_first_poses])
+    order = _in_turn([f.label for f in tried]) if search.is_low else range(len(tried))
+    chosen = [tried[k] for k in order[: search.settings.n_first_poses]]
     # A person from behind has the silhouette of one from the front: follow the best of the other half too.
     behind = _facing(tried, tried[0], search, ahead=False)
     chosen += [f for f in behind[: numbers.n_opposite] if f not in chosen]
@@ -184,6 +195,11 @@ def settle_first_poses(
     return [searched[0], *_facing(searched, searched[0], search, ahead=False)[:1]]
 
 
+def _in_turn(labels: Sequence[str]) -> list[int]:
+    """Places of the first of every label, in order, then of every second one, and so on."""
+    return sorted(range(len(labels)), key=lambda k: labels[:k].count(labels[k]))
+
+
 def _facing(
     poses: Sequence[FirstPose], best: FirstPose, search: PoseSearch, *, ahead: bool
 ) -> list[FirstPose]:
@@ -194,9 +210,13 @@ def _facing(
 
 
 def faces_other_way(body: Body, state: Array, other: Array) -> bool:
-    """Whether two poses (D,) face opposite halves of the room; never on a body without a yaw."""
-    yaw = body.yaw_column
-    return yaw is not None and bool(np.cos(state[yaw] - other[yaw]) < 0.0)
+    """Whether two poses (D,) are turned from each other by more than 90 degrees, about whatever axis: who stands faces
+    opposite halves of the room, who lies has his head where the feet were, or his belly up; never on a body without a
+    yaw."""
+    if body.yaw_column is None:
+        return False
+    one, two = joint_transforms(body, np.stack([state, other]))[0][:, 0]
+    return bool(np.trace(one.T @ two) < 1.0)
 
 
 def walking_velocity(clip: PersonClip, i: int, settings: StartSettings) -> Array | None:
@@ -220,4 +240,6 @@ def against_walking(body: Body, states: Array, heading: float | None, settings: 
     """What it costs states (N, D) to face against the direction of walking, (N,) nats; heading : rad, or None."""
     if heading is None or body.yaw_column is None:
         return np.zeros(len(states))
-    return np.asarray(settings.facing_nats * (1.0 - np.cos(states[:, body.yaw_column] - heading)))
+    front = front_of(body, states)
+    ahead = front @ [np.cos(heading), np.sin(heading)]
+    return np.asarray(settings.facing_nats * (np.linalg.norm(front, axis=1) - ahead))

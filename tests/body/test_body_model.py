@@ -118,11 +118,14 @@ def test_variance_factors_are_table_6_2(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_only_the_root_yaw_is_circular_and_positions_are_free(name: str) -> None:
+def test_turns_of_the_root_are_circular_and_positions_are_free(name: str) -> None:
+    """The default body turns over, heels over head; the others turn about the vertical alone."""
     layout = body(name).layout
-    assert np.flatnonzero(layout.is_circular).tolist() == [layout.names.index("root_yaw")]
+    turns = ["root_yaw", "root_pitch", "root_roll"][: 3 if name == "whole" else 1]
+    columns = [layout.names.index(turn) for turn in turns]
+    assert np.flatnonzero(layout.is_circular).tolist() == columns
     free = ~np.isfinite(layout.lower) & ~np.isfinite(layout.upper)
-    assert np.flatnonzero(free).tolist() == [0, 1, 2, layout.names.index("root_yaw")]
+    assert np.flatnonzero(free).tolist() == [0, 1, 2, *columns]
 
 
 @pytest.mark.parametrize("name", PRESETS)

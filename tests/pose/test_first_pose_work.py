@@ -18,7 +18,9 @@ def evaluations(settings: StartSettings, n_kinds: int, n_first_poses: int, n_fra
 
 @pytest.fixture
 def n_kinds(coarse_flesh: Flesh) -> int:
-    return len(candidate_states(coarse_flesh.body, np.ones((3, 3)), np.zeros(1))[0])
+    return len(
+        candidate_states(coarse_flesh.body, np.array([[0, 0, 0], [0, 0, 1.7], [0, 0, 1.7]]), np.zeros(1))[0]
+    )
 
 
 @pytest.mark.parametrize(("wanted", "n_frames"), [(8, 3), (24, 2), (24, 1), (30, 10)])
