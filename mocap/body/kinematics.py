@@ -14,7 +14,7 @@ from mocap.body.model import Body
 from mocap.data.skeleton import Skeleton
 from mocap.geometry.rigid import matrix_from_twist
 
-_LEVEL = 0.5**0.5  # of a unit vector; steeper than 45 degrees it points up or down
+_LEVEL = 0.5**0.5  # height of a unit vector at 45 degrees
 
 
 def joint_transforms(body: Body, states: Array) -> tuple[Array, Array]:
@@ -66,20 +66,11 @@ def landmarks_of(body: Body, states: Array) -> Array:
     return np.einsum("nlrc,lc->nlr", R[:, j], body.landmark_offset) + t[:, j]
 
 
-def front_of(body: Body, states: Array) -> Array:
-    """Where the pelvis faces over the floor: (N, D) -> (N, 2), the level part of a unit vector, short for who lies."""
-    return joint_transforms(body, states)[0][:, 0, :2, 0]
-
-
-def facing_of(body: Body, state: Array) -> float:
-    """Direction over the floor in which the pelvis faces in one pose (D,), rad."""
-    x, y = front_of(body, state[None])[0]
-    return float(np.arctan2(y, x))
-
-
-def faces_level(body: Body, state: Array) -> bool:
-    """Whether the pelvis faces a wall in one pose (D,), rather than floor or ceiling."""
-    return bool(np.linalg.norm(front_of(body, state[None])[0]) > _LEVEL)
+def facing_of(body: Body, states: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Direction over the floor in which the pelvis of states (N, D) faces, (N,) rad, and whether it faces a wall, (N,),
+    rather than floor or ceiling."""
+    front = joint_transforms(body, states)[0][:, 0, :, 0]
+    return np.arctan2(front[:, 1], front[:, 0]), np.abs(front[:, 2]) < _LEVEL
 
 
 def cones_of(body: Body, state: Array) -> tuple[Array, Array]:

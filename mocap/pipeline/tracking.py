@@ -15,6 +15,8 @@ from mocap.volume import coarsen, connected_components, surface_voxels
 
 Indices = NDArray[np.int64]
 
+_LYING_S = 2.0  # a coat that is thrown off moves for less
+
 
 @dataclass(frozen=True, eq=False)
 class TrackerInput:
@@ -55,16 +57,21 @@ def tracker_input(frame: int, hull: Hull, voxel_size_m: float | None = None) -> 
 
 
 def tracker_settings(
-    config: TrackingConfig, grid: VoxelGrid, fps: float, n_frames: int | None = None
+    config: TrackingConfig,
+    grid: VoxelGrid,
+    fps: float,
+    n_frames: int | None = None,
+    *,
+    is_room_known: bool = False,
 ) -> TrackerSettings:
     """The tracker's settings from the configuration.
 
     grid : of the hulls.  n_frames : length of the clip; a person of a clip shorter than twice confirm_frames needs
-    fewer sightings.
+    fewer sightings.  is_room_known : masks are of what was not in the empty scene.
     """
-    confirm = config.confirm_frames
+    confirm, lying = config.confirm_frames, max(1, round(_LYING_S * fps))
     if n_frames is not None:
-        confirm = max(1, min(confirm, n_frames // 2))
+        confirm, lying = (max(1, min(n, n_frames // 2)) for n in (confirm, lying))
     voxel_size_m = max(config.voxel_size_m or grid.voxel_size_m, grid.voxel_size_m)
     values: dict[str, Any] = {
         "n_samples": config.n_samples,
@@ -73,6 +80,7 @@ def tracker_settings(
         "expected_persons": config.expected_persons,
         "confirm_frames": confirm,
         "lost_frames": config.lost_frames,
+        "lying_frames": lying if is_room_known else None,
         "person_tree": person_tree(config.person_tree),
     }
     if config.published:

@@ -149,7 +149,10 @@ def fit_covariance(body: Body, state: Array, information: Array, settings: Devia
 def within_limits(layout: StateLayout, covariance: Array) -> Array:
     """Covariances of states (T, D, D) in which no angle is less sure than one that may be anywhere between its limits,
     or anywhere on the circle: what nothing shows does not drift away with the time."""
-    spread = np.where(layout.is_circular, 2.0 * np.pi, layout.upper - layout.lower) / np.sqrt(12.0)
+    circle = 2.0 * np.pi
+    spread = np.where(layout.is_circular, circle, np.minimum(layout.upper - layout.lower, circle)) / np.sqrt(
+        12.0
+    )
     std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     share = np.minimum(1.0, spread / np.maximum(std, 1e-12))
     return np.asarray(covariance * share[:, :, None] * share[:, None, :])

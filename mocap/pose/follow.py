@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, landmarks_of
 from mocap.body.average import mean_state
-from mocap.body.kinematics import faces_level, facing_of
+from mocap.body.kinematics import facing_of
 from mocap.filters import FILTERS, FilterInfo, ParticleState, initial_particles
 from mocap.forks import can_fork, forked
 from mocap.geometry.rigid import wrap_angle
@@ -448,9 +448,10 @@ class OnePose:
         """Whether a pose (D,) faces against the way that the person goes."""
         numbers, body = self.settings.method.start, self.tools.body
         heading = heading_of(walking_velocity(self.clip, self._row, numbers), numbers)
-        if heading is None or body.yaw_column is None or not faces_level(body, state):
+        if heading is None or body.yaw_column is None:
             return False
-        return bool(np.cos(facing_of(body, state) - heading) < 0.0)
+        (angle,), (is_level,) = facing_of(body, state[None])
+        return bool(is_level and np.cos(angle - heading) < 0.0)
 
     def _restarted(self, now: Candidate, rng: np.random.Generator) -> Candidate:
         evidence: WholeBodyEvidence = self._evidence  # type: ignore[assignment]

@@ -360,6 +360,8 @@ class SizeSettings(_Strict):
     """Steps that the search may go."""
     n_refinements: int = 5
     """Iterations of the refinement at every size tried."""
+    same_size: float = 0.01
+    """Change of the logarithm of the size for which nobody is followed once more."""
 
 
 @dataclass(frozen=True)

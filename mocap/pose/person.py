@@ -56,7 +56,7 @@ class VolumeClip(PersonClip):
 @dataclass(frozen=True, eq=False)
 class Start:
     """A person ready to be followed.  trial : (K,) mean evidence of the starting hypotheses that were compared.
-    n_usable : frames with a usable hull.
+    n_usable : frames with a usable hull.  is_sized : the size was fitted to poses.
     """
 
     tools: VolumeTools
@@ -64,6 +64,7 @@ class Start:
     first: FirstPose
     trial: Array
     n_usable: int
+    is_sized: bool
 
 
 def start_person(
@@ -103,10 +104,11 @@ def start_person(
     clip = clip.with_tools(tools)
     with part("trial"):
         best, trial = choose_hypothesis(clip, hypotheses, seed=seed)
-    if is_size_fitted and not is_crowded:  # a larger body would explain the chair as well
+    is_sized = is_size_fitted and not is_crowded  # a larger body would explain the chair as well
+    if is_sized:
         with part("size"):
             tools, height, best = _sized(clip, height, best, seed=seed)
-    return Start(replace(tools, surface_fit=followed.surface_fit), height, best, trial, len(usable))
+    return Start(replace(tools, surface_fit=followed.surface_fit), height, best, trial, len(usable), is_sized)
 
 
 def _is_low(clip: VolumeClip, row: int) -> bool:
@@ -266,6 +268,13 @@ def follow_frames(
         observation = observation.learning()
     clip = replace(clip, observation=observation)
     series = _followed(clip, start.first, seed=seed, progress=progress)
+    if start.is_sized and not start.height.is_measured:
+        with part("size"):
+            again = _sized_anew(clip, series, start)
+        if again is not None:
+            start, tools = again, again.tools
+            clip = replace(clip, observation=clip.observation.with_tools(tools).learning())
+            series = _followed(clip, start.first, seed=seed, progress=None)
     trial, numbers = start.trial, settings.method.start
     return FollowedPerson(
         person=clip.person,
@@ -407,16 +416,46 @@ def _sized(
         return tools, height, first
     # The frames that are explained best: a limb that is lost says nothing of the size.
     seen = sorted(seen, key=lambda pose: -pose.evidence)[: numbers.n_frames]
-    problems, states = [], []
-    for pose in seen:
-        prepared = clip.observation.prepare(int(frames[pose.row]))
-        if prepared is not None:
-            problems.append(clip.observation.evidence(prepared))
-            states.append(pose.state)
-    fit = fit_size(problems, states, is_head_seen=height.is_measured)
-    sized = tools.resized(fit.factor)
+    sized = _resized(clip, [(pose.row, pose.state) for pose in seen], height)
     prepared = clip.observation.prepare(first.frame)
     again = clip.observation.with_tools(sized)
     state = first.state if prepared is None else again.evidence(prepared).refined(first.state)
     height = replace(height, height_m=sized.body.height_m)
     return sized, height, replace(first, state=state)
+
+
+def _resized(clip: VolumeClip, poses: Sequence[tuple[int, Array]], height: HeightEstimate) -> VolumeTools:
+    """Tools of the size that poses (D,) in some rows of a clip tell.  height : what is known of it."""
+    problems, states = [], []
+    for row, state in poses:
+        prepared = clip.observation.prepare(int(clip.frames[row]))
+        if prepared is not None:
+            problems.append(clip.observation.evidence(prepared))
+            states.append(state)
+    fit = fit_size(problems, states, is_head_seen=height.is_measured)
+    return clip.observation.tools.resized(fit.factor)
+
+
+def _sized_anew(clip: VolumeClip, series: FrameSeries, start: Start) -> Start | None:
+    """A start with the size that the best poses of the whole clip tell, at the best of them; None where it is the same.
+
+    Of who never stands no height is known, and a size that was fitted to poses only just found makes up for what is
+    wrong with them.
+    """
+    numbers = start.tools.settings.method.size
+    worth = series.log_likelihood - series.misfit.sum(axis=1)
+    worth[~np.isfinite(worth)] = -np.inf
+    stretches = np.array_split(np.arange(len(clip)), min(numbers.n_frames, len(clip)))
+    best = [int(rows[worth[rows].argmax()]) for rows in stretches]
+    rows = sorted((row for row in best if np.isfinite(worth[row])), key=lambda row: -worth[row])
+    if not rows:
+        return None
+    free = clip.with_tools(start.tools.without_floor)
+    sized = _resized(free, [(row, series.states[row]) for row in rows], start.height)
+    if abs(np.log(sized.body.height_m / start.tools.body.height_m)) < numbers.same_size:
+        return None
+    first = replace(start.first, frame=int(clip.frames[rows[0]]), state=series.states[rows[0]])
+    tools = replace(sized, surface_fit=start.tools.surface_fit)
+    return replace(
+        start, tools=tools, height=replace(start.height, height_m=sized.body.height_m), first=first
+    )

@@ -124,7 +124,7 @@ def restarted_pose(
     numbers = search.settings.method.restart
     body = search.body
     yaw = body.yaw_column
-    facing = 0.0 if yaw is None else facing_of(body, state)
+    facing = 0.0 if yaw is None else float(facing_of(body, state[None])[0][0])
     if search.heading is not None and np.cos(facing - search.heading) < numbers.facing_cosine:
         facing = search.heading
     starts, _ = candidate_states(body, search.evidence.places, np.array([facing]))
@@ -133,7 +133,7 @@ def restarted_pose(
         moved = good.copy()
         moved[:3] = state[:3]
         if yaw is not None:
-            moved[yaw] += facing - facing_of(body, good)
+            moved[yaw] += facing - float(facing_of(body, good[None])[0][0])
         states.append(moved)
     problem = search.evidence.search
     std = numbers.std_factor * search.std

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mocap.body import Body, candidate_states
 from mocap.body.initial import N_KINDS, is_low
-from mocap.body.kinematics import front_of, joint_transforms
+from mocap.body.kinematics import facing_of, joint_transforms
 from mocap.filters import ParticleState, initial_particles
 from mocap.filters.apf import ApfSettings, apf_step
 from mocap.pose.evidence import PersonClip, WholeBodyEvidence
@@ -210,12 +210,15 @@ def _facing(
 
 
 def faces_other_way(body: Body, state: Array, other: Array) -> bool:
-    """Whether two poses (D,) are turned from each other by more than 90 degrees, about whatever axis: who stands faces
-    opposite halves of the room, who lies has his head where the feet were, or his belly up; never on a body without a
-    yaw."""
+    """Whether two poses (D,) face opposite halves of the room, or are turned from each other by more than 90 degrees
+    where one lies: his head is where the feet were, or his belly is up; never on a body without a yaw."""
     if body.yaw_column is None:
         return False
-    one, two = joint_transforms(body, np.stack([state, other]))[0][:, 0]
+    both = np.stack([state, other])
+    angle, is_level = facing_of(body, both)
+    if is_level.all():
+        return bool(np.cos(angle[0] - angle[1]) < 0.0)
+    one, two = joint_transforms(body, both)[0][:, 0]
     return bool(np.trace(one.T @ two) < 1.0)
 
 
@@ -237,9 +240,9 @@ def heading_of(walking_xy: Array | None, settings: StartSettings) -> float | Non
 
 
 def against_walking(body: Body, states: Array, heading: float | None, settings: StartSettings) -> Array:
-    """What it costs states (N, D) to face against the direction of walking, (N,) nats; heading : rad, or None."""
+    """What it costs states (N, D) to face against the direction of walking, (N,) nats, nothing for who lies; heading :
+    rad, or None."""
     if heading is None or body.yaw_column is None:
         return np.zeros(len(states))
-    front = front_of(body, states)
-    ahead = front @ [np.cos(heading), np.sin(heading)]
-    return np.asarray(settings.facing_nats * (np.linalg.norm(front, axis=1) - ahead))
+    angle, is_level = facing_of(body, states)
+    return np.where(is_level, settings.facing_nats * (1.0 - np.cos(angle - heading)), 0.0)

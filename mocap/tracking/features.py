@@ -110,6 +110,9 @@ _LYING_IS_PERSON = Split(
     ),
 )
 
+# Across his box, knees drawn up; bags, boxes and chairs are shorter.
+_STRETCHED_M = 1.2
+
 TREES = ("wide", "trained")
 _TRAINED = Path(__file__).with_name("person_tree.toml")
 
@@ -209,6 +212,11 @@ def may_be_low(features: BlobFeatures) -> bool:
 def may_lie(features: BlobFeatures) -> bool:
     """Whether a blob could be somebody who lies on the floor, of whom nothing else is known."""
     return may_be_low(features) and is_person(features, _LYING_IS_PERSON)
+
+
+def is_stretched_out(features: BlobFeatures) -> bool:
+    """Whether a blob could be a grown-up person who lies, rather than a thing that somebody has put down."""
+    return may_lie(features) and math.hypot(features.box_max_m, features.box_min_m) >= _STRETCHED_M
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from mocap.arrays import Array
 from mocap.tracking import motion
 from mocap.tracking.claims import Claim, Frame, Histogram, claim_of, likeness
 from mocap.tracking.colour import adapt
+from mocap.tracking.features import is_stretched_out
 from mocap.tracking.state import (
     COASTING,
     CONFIRMED,
@@ -279,9 +280,12 @@ def _posture(claim: Claim) -> Array:
     return np.array([*claim.centroid[:2], *box])
 
 
-def _is_credible(track: Track, settings: TrackerSettings) -> bool:
-    """Tall enough for somebody new, or on the move: a chair is neither."""
-    return track.has_moved or not track.top_m < settings.min_new_top_m
+def _is_credible(track: Track, claim: Claim, settings: TrackerSettings) -> bool:
+    """Tall enough for somebody new, or on the move: a chair is neither; or stretched out where nothing lay before."""
+    if track.has_moved or not track.top_m < settings.min_new_top_m:
+        return True
+    least = settings.lying_frames
+    return least is not None and track.hits >= least and is_stretched_out(claim.features)
 
 
 def _confirm(lives: Lives, state: TrackerState, used: set[int], frame: Frame) -> None:
@@ -294,7 +298,10 @@ def _confirm(lives: Lives, state: TrackerState, used: set[int], frame: Frame) ->
         if track.is_named:
             continue
         is_new = track.status == TENTATIVE
-        if is_new and (track.hits < settings.confirm_frames or not _is_credible(track, settings)):
+        if is_new and (
+            track.hits < settings.confirm_frames
+            or not _is_credible(track, lives.claims[track.serial], settings)
+        ):
             continue
         person = _identity(lives, state, track, frame)
         if person is None:
@@ -435,7 +442,7 @@ def _give_birth(
     is_at_once = state.frame is None or settings.confirm_frames == 1
     n_confirmed = len(state.confirmed_ids | {t.person for t in lives.tracks if t.status != TENTATIVE})
     is_room = settings.expected_persons is None or n_confirmed < settings.expected_persons
-    if is_at_once and is_room and _is_credible(track, settings):
+    if is_at_once and is_room and _is_credible(track, claim, settings):
         track = track.replace(status=CONFIRMED, is_named=True)
     lives.tracks.append(start(track, frame, claim))
     lives.claims[serial] = claim

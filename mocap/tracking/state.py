@@ -82,6 +82,8 @@ class TrackerSettings:
     lost_frames : a confirmed track coasts so many frames, then it is deleted: no phantom lives longer.
     min_new_top_m, min_move_m : a new blob lower than this is confirmed only after it has moved so far, or changed its
         extent so much: chairs do neither by themselves, children and people on the floor do.
+    lying_frames : one that is as long as somebody who lies is confirmed after so many sightings where it is, None =
+        never: where the empty scene is known it is no furniture of the room.
     follow_low : a confirmed person who sinks below that stays seen whatever the classifier says, as long as weight,
         place and colours agree with what was there; what is left behind (a chair) is no longer the person, even where
         the classifier takes it for one. false = the classifier alone decides.
@@ -126,6 +128,7 @@ class TrackerSettings:
     lost_frames: int = 15
     min_new_top_m: float = 1.0
     min_move_m: float = 0.3
+    lying_frames: int | None = None
     follow_low: bool = True
     keep_identity: bool = True
     identity_margin: float = 0.2

@@ -23,7 +23,7 @@ from mocap.body import (
     scale_body,
 )
 from mocap.body.flesh import cone_distances
-from mocap.body.initial import DEFAULT_HEIGHT_M
+from mocap.body.initial import DEFAULT_HEIGHT_M, is_low
 from mocap.data import LANDMARKS
 
 THESIS = scale_body(load_body_model("thesis"), 1.76)
@@ -228,6 +228,47 @@ def test_low_tops_count_only_when_the_frames_near_them_are_upright() -> None:
         estimate = height_from_tops(tops, 0.02, np.array(upright, dtype=np.bool_))
         assert estimate.is_measured == is_measured
         assert estimate.height_m == pytest.approx(1.19 if is_measured else DEFAULT_HEIGHT_M)
+
+
+def test_who_stands_in_few_frames_is_as_tall_as_he_stands_there() -> None:
+    """The highest tenth of all frames is that of somebody who rises."""
+    lying, standing = np.full(94, 0.6), np.linspace(1.60, 1.70, 6)
+    upright = np.repeat([False, True], [94, 6])
+    estimate = height_from_tops(np.concatenate([lying, standing]), 0.02, upright)
+    assert estimate.is_measured
+    assert estimate.height_m == pytest.approx(1.69 - 0.01)
+    assert not height_from_tops(np.concatenate([lying, standing]), 0.02, ~upright).is_measured
+    # Who bends now and then is no other case: all his frames count, as before.
+    bending = np.concatenate([np.linspace(1.40, 1.62, 20), np.full(40, 1.66)])
+    estimate = height_from_tops(bending, 0.02, bending > 1.65)
+    assert estimate.height_m == pytest.approx(float(np.quantile(bending, 0.9)) - 0.01)
+
+
+def test_a_hull_that_is_lower_than_who_sits_has_poses_of_who_lies() -> None:
+    whole = make_flesh("whole", 1.72, 0.03)
+    upright, labels = candidate_states(
+        whole.body, np.array([[0, 0, 0], [0, 0, 1.7], [0, 0, 1.7]]), np.zeros(1)
+    )
+    pitch = whole.body.layout.names.index("root_pitch")
+    assert np.abs(upright[:, pitch]).max() < 0.5
+    for kind in ("sit", "crouch"):
+        seated = whole.grid.centers(whole.hull(upright[labels.index(kind)]).voxels)
+        assert not is_low(seated, whole.body)
+    flat = np.random.default_rng(0).uniform([-0.8, -0.2, 0], [0.8, 0.2, 0.3], (400, 3))
+    assert is_low(flat, whole.body)
+    lying, kinds = candidate_states(whole.body, flat, np.array([0.3]))
+    assert {"sit", "crouch", "prone", "supine", "all_fours", "on_left_side", "on_right_side"} <= set(kinds)
+    assert "stand" not in kinds
+    for state, kind in zip(lying, kinds, strict=True):
+        centers = whole.grid.centers(whole.hull(state).voxels)
+        assert centers[:, 2].min() == pytest.approx(flat[:, 2].min(), abs=0.05)
+        assert kind in ("sit", "crouch") or is_low(centers, whole.body), kind
+    belly = {kind: _front(whole.body, state)[2] for state, kind in zip(lying, kinds, strict=True)}
+    assert belly["prone"] < -0.9 < 0.9 < belly["supine"]
+
+
+def _front(body: Body, state: np.ndarray) -> np.ndarray:
+    return joint_transforms(body, state[None])[0][0, 0, :, 0]
 
 
 def test_candidates_lie_over_the_hull_and_are_legal(flesh: Flesh) -> None:

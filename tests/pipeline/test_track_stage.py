@@ -55,7 +55,7 @@ def stage(tmp_path):
                 out.append(
                     frame, voxels=voxels, is_surface=is_surface, n_views=is_surface.astype(np.uint8), rgb=rgb
                 )
-        session = SimpleNamespace(frames=range(len(clip)), fps=FPS)
+        session = SimpleNamespace(frames=range(len(clip)), fps=FPS, has_empty_scene=True)
         config = load_config(settings=settings)
         run_stage(TRACK, Job(session, config, store, "k", seed=seed))
         tracks = stored_tracks(store, FPS)
@@ -144,6 +144,10 @@ def test_expected_persons_and_published_reach_the_tracker():
     assert (s.fps, s.voxel_size_m, s.confirm_frames) == (FPS, 0.05, 3)
     plain = tracker_settings(load_config().tracking, GRID, FPS, 4)
     assert (plain.tracker, plain.estimate, plain.confirm_frames) == ("naive", "voxels", 2)
+    assert plain.lying_frames is None
+    known = tracker_settings(load_config().tracking, GRID, FPS, 100, is_room_known=True)
+    assert known.lying_frames == round(2 * FPS)
+    assert tracker_settings(load_config().tracking, GRID, FPS, 12, is_room_known=True).lying_frames == 6
 
 
 def test_nobody_in_the_room(stage):

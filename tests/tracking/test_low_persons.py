@@ -114,6 +114,19 @@ def test_who_lies_when_first_seen_is_a_person_once_he_moves(tracker):
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
+def test_who_lies_still_in_a_room_that_is_known_empty_is_a_person(tracker):
+    """After two seconds, say; a chair or a bag that somebody has put down is shorter."""
+    s = settings(tracker=tracker, lying_frames=12)
+    infos, _ = run(STILL[:1] * 20, s)
+    assert not any(confirmed(i) for i in infos[:11])
+    assert confirmed(infos[-1]) == [1]
+    assert len(table(infos, s)) == len(infos)  # backdated to the first frame
+    for thing in (chair(0, 0), [box(0, 0, 0.45, 0.3, 0.0, 0.5, (90, 60, 30))]):
+        infos, _ = run([thing] * 20, s)
+        assert not any(confirmed(i) for i in infos)
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
 def test_low_furniture_that_stands_still_is_never_a_person(tracker):
     bench = [box(0, 0, 0.75, 0.2, 0.0, 0.45, (90, 60, 30))]
     infos, _ = run([bench] * 60, settings(tracker=tracker))

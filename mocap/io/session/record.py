@@ -89,6 +89,11 @@ class Session:
         edges = [self.frames.start, *self.later_calibrations, self.frames.stop]
         return tuple(range(first, stop) for first, stop in pairwise(edges))
 
+    @property
+    def has_empty_scene(self) -> bool:
+        """Whether masks are of what is not there when nobody is: every camera has an empty clip, or masks are given."""
+        return bool(self.mask_sources) or set(self.rig.names) <= self.background_sources.keys()
+
     def rig_at(self, frame: int) -> CameraRig:
         """The cameras as they stand in a frame, in the sizes of `rig`."""
         holding = [found for first, found in self.later_calibrations.items() if first <= frame]

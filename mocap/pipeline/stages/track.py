@@ -31,6 +31,7 @@ class _Tracking:
     seed: int
     fps: float
     n_frames: int
+    is_room_known: bool
     tracker: TrackerState = field(default_factory=TrackerState)
     settings: TrackerSettings | None = None
     history: list[tuple[int, tuple[Track, ...]]] | None = None
@@ -44,7 +45,12 @@ def _reads(job: Job) -> Sources:
 def _start(job: Job) -> _Tracking:
     config, session = job.config.tracking, job.session
     return _Tracking(
-        config, job.seed, session.fps, len(session.frames), history=None if job.is_endless else []
+        config,
+        job.seed,
+        session.fps,
+        len(session.frames),
+        session.has_empty_scene,
+        history=None if job.is_endless else [],
     )
 
 
@@ -57,7 +63,9 @@ def _settings(state: _Tracking, grid: VoxelGrid) -> TrackerSettings:
             remedy="leave tracking.voxel_size_m out, or carve finer voxels (volume.voxel_size_m)",
         )
     try:
-        return tracker_settings(state.config, grid, state.fps, state.n_frames)
+        return tracker_settings(
+            state.config, grid, state.fps, state.n_frames, is_room_known=state.is_room_known
+        )
     except ValueError as error:
         raise MocapError(f"configuration: tracking: {error}", remedy="correct the setting") from error
 
