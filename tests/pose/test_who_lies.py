@@ -1,5 +1,7 @@
 """Who lies, is on hands and knees or turns over: the first pose, and which way he faces."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from flesh_voxels import make_flesh
@@ -7,14 +9,25 @@ from flesh_voxels import make_flesh
 from mocap.body import Body, neutral_state
 from mocap.body.initial import HeightEstimate, candidate_states
 from mocap.body.kinematics import facing_of, joint_transforms
+from mocap.filters import ParticleState
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
-from mocap.pose import person
-from mocap.pose.deviation import FrameSeries
+from mocap.pose import person, restart
+from mocap.pose.deviation import FrameSeries, within_limits
+from mocap.pose.follow import OnePose
 from mocap.pose.method import StartSettings
 from mocap.pose.person import Start, VolumeClip, start_person
-from mocap.pose.start import FirstPose, _in_turn, against_walking, faces_other_way
-from mocap.pose.volume import VolumeObservation
+from mocap.pose.restart import restarted_pose
+from mocap.pose.start import (
+    FirstPose,
+    PoseSearch,
+    _in_turn,
+    against_walking,
+    faces_other_way,
+    settle_first_poses,
+    try_first_poses,
+)
+from mocap.pose.volume import PersonHull, VolumeObservation
 
 HEIGHT_M = 1.72
 FLESH = make_flesh("whole", HEIGHT_M, 0.03)
@@ -127,6 +140,90 @@ def test_the_way_tells_nothing_of_who_lies() -> None:
     states = np.stack([turned(yaw=np.pi), turned(), turned(yaw=np.pi, pitch=np.pi / 2)])
     cost = against_walking(BODY, states, 0.0, numbers)
     np.testing.assert_allclose(cost, [2 * numbers.facing_nats, 0.0, 0.0], atol=1e-9)
+
+
+class Stop(Exception):
+    """Enough is known."""
+
+
+def search_at(hull: PersonHull, n_first_poses: int) -> PoseSearch:
+    settings = PoseConfig(n_first_poses=n_first_poses, outline_weight=0)
+    tools = make_tools(FLESH.grid, 30.0, HEIGHT_M, "whole", settings, LikelihoodConfig(), 1)
+    observation = VolumeObservation(tools, lambda frame: hull)
+    prepared = observation.prepare(0)
+    assert prepared is not None
+    return PoseSearch(observation.evidence(prepared), 0, None)
+
+
+def test_every_kind_of_lying_pose_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By their likelihood alone those who lie on their backs would take all places."""
+    followed: list[list[str]] = []
+
+    def attempts(
+        search: PoseSearch, starts: Sequence[tuple[ParticleState, str]], *others: object, **more: object
+    ) -> list[FirstPose]:
+        followed.append([label for _, label in starts])
+        return [FirstPose(0, start.particles[0], label, -k) for k, (start, label) in enumerate(starts)]
+
+    monkeypatch.setattr(PoseSearch, "attempts", attempts)
+    search = search_at(FLESH.hull(lying("supine", 0.3), margin_m=0.02), 2)
+    try_first_poses(search, rng=np.random.default_rng(0))
+    assert len(set(followed[0])) == len(followed[0]) == 8
+    tried = [FirstPose(0, turned(), label, -k) for k, label in enumerate("aaabbc")]
+    search = search_at(FLESH.hull(lying("prone", 0.0)), 3)
+    settle_first_poses(search, tried, rng=np.random.default_rng(0))
+    assert followed[1] == ["a", "b", "c"]
+
+
+def test_more_poses_are_followed_of_who_lies(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def most_promising(clip: VolumeClip, rows: Sequence[int], *, seed: int) -> None:
+        asked.append(clip.observation.tools.settings.n_first_poses)
+        raise Stop
+
+    monkeypatch.setattr(person, "_most_promising", most_promising)
+    pose = PoseConfig(n_first_poses=2)
+    tools = make_tools(FLESH.grid, 30.0, HEIGHT_M, "whole", pose, LikelihoodConfig(), 1)
+    for state in (turned(), lying("prone", 0.0)):
+        hull = FLESH.hull(state)
+        observation = VolumeObservation(tools, lambda frame, hull=hull: hull)
+        clip = VolumeClip(1, np.arange(12), np.zeros((12, 3)), observation)
+        with pytest.raises(Stop):
+            start_person(clip, HeightEstimate(HEIGHT_M, is_measured=False), seed=0)
+    assert asked == [2, 6]
+
+
+def test_who_has_turned_over_is_looked_for_where_his_front_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def candidates(body: Body, places: np.ndarray, yaws: np.ndarray) -> None:
+        asked.append(float(yaws[0]))
+        raise Stop
+
+    monkeypatch.setattr(restart, "candidate_states", candidates)
+    search = search_at(FLESH.hull(turned()), 2)
+    with pytest.raises(Stop):
+        restarted_pose(search, turned(0.4 + np.pi, np.pi, np.pi), None, rng=np.random.default_rng(0))
+    assert asked == [pytest.approx(0.4)]
+
+
+@pytest.mark.parametrize(("pitch", "is_backwards"), [(0.3, True), (1.4, False)])
+def test_who_lies_never_faces_against_his_way(pitch: float, is_backwards: bool) -> None:
+    tools = make_tools(FLESH.grid, 30.0, HEIGHT_M, "whole", PoseConfig(), LikelihoodConfig(), 1)
+    xyz = np.zeros((20, 3))
+    xyz[:, 0] = 0.05 * np.arange(20)  # 1.5 m/s along +x
+    clip = VolumeClip(1, np.arange(20), xyz, VolumeObservation(tools, lambda frame: None))
+    followed = OnePose(clip, 10, turned())
+    followed._row = 10
+    assert followed._faces_backwards(turned(yaw=np.pi, pitch=pitch)) == is_backwards
+    assert not followed._faces_backwards(turned(pitch=pitch))
+
+
+def test_nobody_is_less_sure_of_a_turn_than_anywhere_on_the_circle() -> None:
+    unsure = 1e4 * np.eye(BODY.layout.n_columns)[None]
+    std = np.sqrt(np.diagonal(within_limits(BODY.layout, unsure)[0]))
+    np.testing.assert_allclose(std[3:6], 2 * np.pi / np.sqrt(12))
 
 
 def test_every_kind_has_its_turn() -> None:

@@ -121,7 +121,7 @@ def test_who_lies_still_in_a_room_that_is_known_empty_is_a_person(tracker):
     assert not any(confirmed(i) for i in infos[:11])
     assert confirmed(infos[-1]) == [1]
     assert len(table(infos, s)) == len(infos)  # backdated to the first frame
-    for thing in (chair(0, 0), [box(0, 0, 0.45, 0.3, 0.0, 0.5, (90, 60, 30))]):
+    for thing in (chair(0, 0), [box(0, 0, 0.5, 0.25, 0.0, 0.5, (90, 60, 30))]):
         infos, _ = run([thing] * 20, s)
         assert not any(confirmed(i) for i in infos)
 
