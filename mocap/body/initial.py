@@ -16,7 +16,7 @@ from mocap.body.model import Body
 # somebody who stands, no height can be read from it.
 LOWEST_STANDING_TOP_M = 1.45
 _LOWEST_CHILD_TOP_M = 0.7
-_RISEN = 1.05  # heads of people who walk or box differ by less
+_RISEN = 1.05  # heads of who walks or bends now and then differ by less from frame to frame
 # Volume over top cubed: 0.017 to 0.027 for hulls of people who stand, children too; 0.042 and more for people who sit.
 _SLENDER = 0.032
 _FEET_M = 0.15  # a hull that begins higher above the floor is cut off, by a table perhaps
@@ -106,6 +106,7 @@ _LOW_POSES: dict[str, dict[str, float]] = {kind: _POSES[kind] for kind in ("sit"
     "on_left_side": {"root_roll": -1.5} | _BENT,
     "on_right_side": {"root_roll": 1.5} | _BENT,
 }
+# Of the height. The bulk of hulls of who lies or crawls ends at 0.13 to 0.4, of who crouches at 0.5 (decision 101).
 _LYING_SHARE = 0.45
 N_KINDS = len(_POSES)  # of starting poses, each in all directions
 

@@ -110,7 +110,7 @@ _LYING_IS_PERSON = Split(
     ),
 )
 
-# Across his box, knees drawn up; bags, boxes and chairs are shorter.
+# Across the box of somebody of 1.6 m with his knees drawn up; chairs, bags and what people carry are shorter.
 _STRETCHED_M = 1.2
 
 TREES = ("wide", "trained")

@@ -151,6 +151,6 @@ TRACK = Stage(
     report=track_report,
     needs=("carve",),
     sections=("tracking",),
-    facts=("fps",),
+    facts=("fps", "has_empty_scene"),
     is_random=lambda config: config.tracking.tracker != "naive",
 )
