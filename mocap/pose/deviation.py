@@ -150,9 +150,8 @@ def within_limits(layout: StateLayout, covariance: Array) -> Array:
     """Covariances of states (T, D, D) in which no angle is less sure than one that may be anywhere between its limits,
     or anywhere on the circle: what nothing shows does not drift away with the time."""
     circle = 2.0 * np.pi
-    spread = np.where(layout.is_circular, circle, np.minimum(layout.upper - layout.lower, circle)) / np.sqrt(
-        12.0
-    )
+    width = np.where(layout.is_circular, circle, np.minimum(layout.upper - layout.lower, circle))
+    spread = width / np.sqrt(12.0)
     std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     share = np.minimum(1.0, spread / np.maximum(std, 1e-12))
     return np.asarray(covariance * share[:, :, None] * share[:, None, :])

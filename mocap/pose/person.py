@@ -257,7 +257,8 @@ def follow_frames(
     The first pose is looked for in a few frames in the middle, or as near to it as the person stands; the filter runs
     from the best of them to the end, and back to the beginning.
     is_size_fitted : `height` is only the highest place of the head; the size is fitted to some frames around the first
-    pose, and the height changes with it.
+    pose, and the height changes with it; of who never stands to frames of the whole clip
+    besides, and he is followed once more.
     Raises ValueError when no frame has a usable hull.
     """
     with part("start"):
