@@ -13,6 +13,7 @@ from mocap.foreground.quality import MaskQuality, mask_quality, triples_of
 from mocap.foreground.recording import (
     KeyPictures,
     background_of_recording,
+    bare_in,
     changes_in,
     first_cuts,
     held_things_in,
@@ -38,6 +39,7 @@ __all__ = [
     "MaskQuality",
     "Segmenter",
     "background_of_recording",
+    "bare_in",
     "changes_in",
     "clean_mask",
     "empty_picture",

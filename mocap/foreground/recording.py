@@ -45,7 +45,8 @@ _FAR = 20  # levels from the usual colour that count as "something else was here
 _SHADE_OFF = 8  # levels from a darker usual colour: more is no shade
 _DARKEST = 0.5  # of the usual colour: what is darker is no shade
 _MIDDLE, _CONTRAST = 128, 0.7  # of a picture of differences: nearly all fit into its levels
-_DIFFERS = 15  # levels from what is painted in that make a pixel likely to show a person in the first cut
+_DIFFERS = 15  # levels from what is behind persons that make a pixel likely to show one
+_LEAST_BARE = 3  # first cuts that leave a pixel free tell what is behind persons there
 _MOST_HOLE_PX = 6000  # of 640 x 480: a hole in what moves that may still be inside a person
 _RIM_PX = 2  # blur and compression mix colours so far beside a person
 _FLOOR_STD = 0.2  # of what makes a difference from a floor that others see
@@ -125,6 +126,23 @@ def first_cuts(keys: KeyPictures, region: Mask) -> list[Mask]:
             | refine_mask(unlike, region, likely, reduction=2)
         )
     return cuts
+
+
+def bare_in(keys: KeyPictures, cuts: Sequence[Mask]) -> list[Mask]:
+    """Where each key picture shows what is behind persons, as others of the camera show it too, (K) times (h, w) bool.
+
+    cuts : (h, w) bool, the persons in each key picture.
+    """
+    soft = np.stack([cv2.blur(picture, (3, 3)) for picture in keys.pictures])
+    cover = np.stack([1 + 2 * cv2.dilate(cut.astype(np.uint8), _disc(_RIM_PX)) for cut in cuts])
+    mean = np.empty(soft.shape[1:], dtype=np.float32)
+    n_free = np.empty(soft.shape[1:3], dtype=np.uint8)
+    _kernels.free_statistics(
+        soft.reshape(len(soft), -1, 3), cover.reshape(len(soft), -1), _FAR,
+        mean.reshape(-1, 3), np.empty_like(mean).reshape(-1, 3), n_free.reshape(-1),
+    )  # fmt: skip
+    is_known = n_free >= _LEAST_BARE
+    return [is_known & (largest_channel(np.abs(picture - mean)) < _DIFFERS) for picture in soft]
 
 
 def background_of_recording(images: Iterable[Image], cuts: Sequence[Mask]) -> Background:

@@ -17,6 +17,7 @@ from mocap.foreground import (
     Background,
     KeyPictures,
     background_of_recording,
+    bare_in,
     changes_in,
     first_cuts,
     held_things_in,
@@ -156,10 +157,11 @@ def _cuts_that_agree(
 ) -> list[list[Mask]]:
     """The persons in each key picture of each camera, once every camera has heard what the others see."""
     cuts: list[list[Mask]] = list(each(first_cuts, keys, regions))
+    bare: list[list[Mask]] = list(each(bare_in, keys, cuts))
     for k in range(len(cuts[0])):
-        pictures = [key.pictures[k] for key in keys]
+        pictures, room = [key.pictures[k] for key in keys], [own[k] for own in bare]
         for _ in range(_N_PASSES):
-            again = each(_cut_again, pictures, witness.corrected([cut[k] for cut in cuts]))
+            again = each(_cut_again, pictures, witness.corrected([cut[k] for cut in cuts], room))
             for cut, better in zip(cuts, again, strict=True):
                 cut[k] = better
     return cuts

@@ -145,9 +145,10 @@ class StartSettings(_Strict):
     crowded_share: float = 0.4
     """Share of a hull's surface that the body leaves unexplained, from which it holds much else than the person, if the
     silhouettes do too."""
-    crowded_outline_share: float = 0.25
+    crowded_outline_share: float = 0.3
     """Share of their outlines that lies beside the body then. Two cameras leave as much of a hull unexplained (0.45 to
-    0.52) as a chair (0.50), but hardly any outline: 0.01 to 0.10, as seven cameras do; with the chair it is 0.48."""
+    0.52) as a chair (0.50), but hardly any outline: 0.01 to 0.10, as seven cameras do; with the chair it is 0.34 to
+    0.36, of who balances on one leg before four cameras 0.10 to 0.26 (decision 102)."""
     crowded_outline_weight: float = 0.3
     """Largest weight of outlines there: a chair's outlines are not the person's. On a real person who sits still on a
     chair (426 frames, judged by eye) weights of 1 and 3 stretch a leg into the chair's (knee at 10 degrees); with 0.3

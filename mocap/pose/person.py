@@ -91,16 +91,21 @@ def start_person(
         search, tried = _most_promising(clip.with_tools(searching), rows, seed=seed)
     evidence = search.evidence
     assert isinstance(evidence, VolumeEvidence)  # the clip is one of volumes
-    is_crowded = evidence.is_crowded(tried[0].state)
+
+    def settled(search: PoseSearch) -> list[FirstPose]:
+        rng = rng_for(seed, "settle", clip.person, search.frame)
+        with part("settle"):
+            return settle_first_poses(search, tried, rng=rng)
+
+    hypotheses = settled(search)
+    is_crowded = evidence.is_crowded(hypotheses[0].state)
     gentle = numbers.crowded_outline_weight
     if is_crowded and tools.settings.outline_weight > gentle:
         # The silhouettes hold more than the person, a chair perhaps: their outlines are not all his.
         tools = replace(tools, settings=replace(tools.settings, outline_weight=gentle))
         searching = replace(searching, settings=replace(searching.settings, outline_weight=gentle))
-        search = _search_at(clip.with_tools(searching), int(np.searchsorted(frames, search.frame)))
-    rng = rng_for(seed, "settle", clip.person, search.frame)
-    with part("settle"):
-        hypotheses = settle_first_poses(search, tried, rng=rng)
+        row = int(np.searchsorted(frames, search.frame))
+        hypotheses = settled(_search_at(clip.with_tools(searching), row))
     clip = clip.with_tools(tools)
     with part("trial"):
         best, trial = choose_hypothesis(clip, hypotheses, seed=seed)

@@ -70,29 +70,41 @@ class Witness:
         """Where persons can be in each picture at any time, (H, W) bool per camera."""
         return self._seen(self._ever)
 
-    def corrected(self, cuts: Sequence[Mask]) -> list[Guess]:
+    def corrected(self, cuts: Sequence[Mask], bare: Sequence[Mask]) -> list[Guess]:
         """What is allowed, likely and sure in each picture of one instant.
 
         cuts : (H, W) bool per camera; some may be far too large, and three cameras in eight too small.
+        bare : (H, W) bool per camera, where it shows the room as it knows it: most others are not believed against it,
+        nearly all are. What three of four cameras have in their cuts is nobody's for a large part.
         """
         wide = self._persons(self._carver.carve(cuts, n_faulty_views=2 * self._tolerance))
         n_cameras = len(self._rig)
         minority = int(_MINORITY * n_cameras)
+        nearly_all = self._where_somebody_was(cuts, self._tolerance)
         most = np.union1d(
-            self._where_somebody_was(cuts, self._tolerance),
+            nearly_all,
             # At the edge of the room, where few see him, as many votes are asked for: there are no three that may err.
             self._where_somebody_was(cuts, minority, min_votes=n_cameras - minority),
         ).astype(np.int32)
         agreed = self._where_somebody_was(cuts, int(_FEW * n_cameras))
-        possible = np.union1d(wide, self._whole(most)).astype(np.int32)
+        told = zip(
+            self._told(nearly_all, wide), self._told(most, wide), self._seen(agreed), cuts, bare, strict=True
+        )
         out = []
-        for may, must, certain, cut in zip(
-            self._seen(possible), self._seen(most), self._seen(agreed), cuts, strict=True
-        ):
-            allowed = _wider(may, _CUT_MARGIN_PX)
-            likely = cut | _inside(must, _CORE_PX)
+        for (may, must), (may_too, must_too), certain, cut, room in told:
+            allowed = may | (may_too & ~room)
+            likely = cut | must | (must_too & ~room)
             out.append(Guess(allowed, allowed & likely, allowed & _inside(certain, _SURE_PX)))
         return out
+
+    def _told(self, voxels: Voxels, wide: Voxels) -> list[tuple[Mask, Mask]]:
+        """What is allowed and what is likely in each picture where a hull is believed.  wide : voxels that are allowed
+        besides."""
+        possible = np.union1d(wide, self._whole(voxels)).astype(np.int32)
+        return [
+            (_wider(may, _CUT_MARGIN_PX), _inside(must, _CORE_PX))
+            for may, must in zip(self._seen(possible), self._seen(voxels), strict=True)
+        ]
 
     def _where_somebody_was(
         self, cuts: Sequence[Mask], n_faulty_views: int, min_votes: int | None = None

@@ -10,6 +10,7 @@ from mocap.foreground import (
     KeyPictures,
     Segmenter,
     background_of_recording,
+    bare_in,
     changes_in,
     first_cuts,
     held_things_in,
@@ -119,6 +120,36 @@ def test_changes_of_the_light_as_a_whole_are_no_unrest() -> None:
     lit = np.clip(pictures * flicker[:, None, None, None], 0, 255).astype(np.uint8)
     away = ~cv2.dilate(silhouettes.any(axis=0).astype(np.uint8), np.ones((15, 15))).astype(bool)
     assert key_pictures(lit).is_active[away].mean() < 0.01
+
+
+def test_what_is_behind_somebody_is_known_where_others_leave_it_free() -> None:
+    """A man at one of three places in turn, who is missing in one cut; a lamp goes on in the last picture."""
+    wall = np.full((H, W, 3), 120, np.uint8)
+    pictures, men = np.repeat(wall[None], 12, axis=0), np.zeros((12, H, W), np.bool_)
+    for k in range(12):
+        left = 20 + 30 * (k % 3)
+        men[k, 20:90, left : left + 20] = True
+    men[:, 20:90, 115:125] = True  # somebody else never goes
+    pictures[men] = 60
+    pictures[11, :20] = 160
+    cuts = list(men.copy())
+    cuts[0][:] = False
+    keys = KeyPictures(pictures, wall, ~men.any(axis=0), men.any(axis=0))
+    for k, (own, man) in enumerate(zip(bare_in(keys, cuts), men, strict=True)):
+        near = cv2.dilate((man | men.all(axis=0)).astype(np.uint8), np.ones((7, 7))) > 0
+        below = np.arange(H)[:, None] > 21  # the lamp, with its blurred rim
+        assert own[~near & (below | (k < 11))].all()
+        assert not own[man & below].any()  # in the first picture, too, whose cut lacks him
+        assert k < 11 or not own[:19].any()
+
+
+def test_two_cuts_that_leave_a_place_free_are_no_proof() -> None:
+    wall = np.full((H, W, 3), 120, np.uint8)
+    keys = KeyPictures(np.repeat(wall[None], 12, axis=0), wall, wall[..., 0] > 0, wall[..., 0] > 0)
+    cuts = [np.ones((H, W), np.bool_) for _ in range(12)]
+    for n_free in range(1, 4):
+        cuts[n_free][:] = False
+        assert bare_in(keys, cuts)[0].any() == (n_free >= 3)
 
 
 def test_every_key_picture_needs_its_cut() -> None:

@@ -14,7 +14,7 @@ from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose import person
 from mocap.pose.size import _lowest, fit_size
-from mocap.pose.volume import PersonHull, VolumeObservation, VolumeTools
+from mocap.pose.volume import PersonHull, VolumeEvidence, VolumeObservation, VolumeTools
 from mocap.volume import surface_voxels
 
 HEIGHT_M = 1.7
@@ -147,6 +147,38 @@ def test_no_size_is_fitted_and_outlines_say_little_where_the_volume_holds_more_t
     start = person.start_person(clip, height, seed=0, is_size_fitted=True)
     assert bool(fitted) is not with_cupboard
     assert start.tools.settings.outline_weight == (0.3 if with_cupboard else 8.0)
+
+
+def test_the_settled_pose_says_whether_the_volume_holds_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rough pose leaves much unexplained, whoever it is of.  What is settled with all of the outlines, and found to
+    explain them badly, is settled again with little of them."""
+    settled: list[tuple[float, list[person.FirstPose]]] = []
+    asked = []
+    settle = person.settle_first_poses
+
+    def told(search: person.PoseSearch, *args: object, **others: object) -> list[person.FirstPose]:
+        settled.append((search.settings.outline_weight, settle(search, *args, **others)))  # type: ignore[arg-type]
+        return settled[-1][1]
+
+    def is_crowded(_: object, state: np.ndarray) -> bool:
+        asked.append(state)
+        return True
+
+    monkeypatch.setattr(person, "settle_first_poses", told)
+    monkeypatch.setattr(VolumeEvidence, "is_crowded", is_crowded)
+    state = neutral_state(FLESH.body)
+    hull = rasterise(FLESH.body, FLESH.grid, state, margin_m=VOXEL_M)
+    quick = PoseConfig(n_start_frames=1, n_first_poses=1, n_layers=2, n_particles=40, look_again=False)
+    t = make_tools(FLESH.grid, 12.5, HEIGHT_M, "anthropometric", quick, LikelihoodConfig(), 1)
+    clip = person.VolumeClip(
+        1, np.arange(2), np.tile(state[:3], (2, 1)), VolumeObservation(t, lambda _: hull)
+    )
+    start = person.start_person(clip, HeightEstimate(HEIGHT_M, is_measured=True), seed=0)
+    (full, first), (gentle, second) = settled
+    assert (full, gentle) == (8.0, 0.3)
+    assert len(asked) == 1
+    np.testing.assert_array_equal(asked[0], first[0].state)
+    assert start.first in second
 
 
 def test_first_poses_and_sizes_are_looked_for_without_the_floor(monkeypatch: pytest.MonkeyPatch) -> None:

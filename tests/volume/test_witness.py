@@ -30,6 +30,10 @@ def grown(mask: np.ndarray, px: int) -> np.ndarray:
     return cv2.dilate(mask.astype(np.uint8), np.ones((2 * px + 1,) * 2, np.uint8)) > 0
 
 
+def nowhere(masks: list[np.ndarray]) -> list[np.ndarray]:
+    return [np.zeros_like(mask) for mask in masks]
+
+
 def facing_away(camera: Camera) -> Camera:
     """The camera turned about its upward axis, so that it sees nothing of the room."""
     turn = np.diag([-1.0, 1.0, -1.0])
@@ -67,7 +71,7 @@ def test_a_cut_that_is_off_is_put_right(witness: Witness, silhouettes: list[np.n
     cuts[0][:, 20:] = True
     lower = lower_half(silhouettes[1])
     cuts[1] &= ~lower
-    corrected = witness.corrected(cuts)
+    corrected = witness.corrected(cuts, nowhere(cuts))
     for (allowed, likely, _), person in zip(corrected, silhouettes, strict=True):
         assert allowed[person].mean() > 0.98
         # Four votes of six carry a place, one of them blindly: a margin of three voxels around 24 pixels.
@@ -84,7 +88,7 @@ def test_what_two_cuts_of_six_lack_is_likely(witness: Witness, silhouettes: list
     cuts = [
         p & ~dark if i in (1, 4) else p for i, (p, dark) in enumerate(zip(silhouettes, lower, strict=True))
     ]
-    for guess, dark in zip(witness.corrected(cuts), lower, strict=True):
+    for guess, dark in zip(witness.corrected(cuts, nowhere(cuts)), lower, strict=True):
         assert guess.likely[dark].mean() > 0.2
 
 
@@ -96,9 +100,40 @@ def test_where_few_cameras_look_two_of_them_are_no_majority(silhouettes: list[np
     turned = CameraRig(tuple(facing_away(c) if i in hidden else c for i, c in enumerate(rig)))
     seen = [p & (i not in hidden) for i, p in enumerate(silhouettes)]
     cuts = [p & ~lower_half(p) if i in (0, 3) else p for i, p in enumerate(seen)]
-    guesses = Witness(turned, place, seen).corrected(cuts)
+    guesses = Witness(turned, place, seen).corrected(cuts, nowhere(cuts))
     for i in (0, 3):
         assert not guesses[i].likely[lower_half(silhouettes[i]) & ~grown(cuts[i], 4)].any()
+
+
+def test_a_camera_that_sees_the_room_as_it_knows_it_is_believed() -> None:
+    """Two stand side by side, or one and what all cameras but one of four take for somebody."""
+    one = standing_silhouettes(AT)
+    both = [a | b for a, b in zip(one, standing_silhouettes(AT + np.array([0.4, 0.0])), strict=True)]
+    some = (0, 1, 3, 4)
+    witness = Witness(ring_rig().subset([f"c{i}" for i in some]), ROOM, [both[i] for i in some])
+    cuts = [one[i] if i == 4 else both[i] for i in some]
+    second = both[4] & ~grown(one[4], BESIDE_PX) & ~lower_half(both[4])  # feet have room beside them
+    inner = cv2.erode(both[4].astype(np.uint8), np.ones((17, 17))) > 0
+    assert np.count_nonzero(inner & second) > 50
+    doubted = witness.corrected(cuts, nowhere(cuts))[-1]
+    assert doubted.allowed[second].mean() > 0.9
+    assert doubted.likely[inner & second].mean() > 0.5
+    bare = [np.ones_like(cut) for cut in cuts]
+    believed = witness.corrected(cuts, bare)[-1]
+    assert not believed.allowed[second].any()
+    assert believed.likely[one[4]].all()
+
+
+@pytest.mark.parametrize(("lacking", "is_likely"), [((1,), True), ((1, 4), False)])
+def test_nearly_all_others_are_believed_against_it(
+    witness: Witness, silhouettes: list[np.ndarray], lacking: tuple[int, ...], is_likely: bool
+) -> None:
+    """Trousers like the wall before which a camera sees them: five of six have them, or only four."""
+    cuts = [p & ~lower_half(p) if i in lacking else p for i, p in enumerate(silhouettes)]
+    inner = lower_half(silhouettes[1]) & ~grown(cuts[1], 4)
+    assert witness.corrected(cuts, nowhere(cuts))[1].likely[inner].any()
+    bare = [np.ones_like(cut) for cut in cuts]
+    assert witness.corrected(cuts, bare)[1].likely[inner].any() == is_likely
 
 
 def broad(i_missing: int | None = None) -> tuple[list[np.ndarray], list[Guess]]:
@@ -106,7 +141,7 @@ def broad(i_missing: int | None = None) -> tuple[list[np.ndarray], list[Guess]]:
     sides = [standing_silhouettes(AT + np.array([dx, dy])) for dx in (-0.2, 0.2) for dy in (-0.2, 0.2)]
     person = [np.logical_or.reduce(own) for own in zip(*sides, strict=True)]
     cuts = [p & (i != i_missing) for i, p in enumerate(person)]
-    return person, Witness(ring_rig(), ROOM, person).corrected(cuts)
+    return person, Witness(ring_rig(), ROOM, person).corrected(cuts, nowhere(cuts))
 
 
 def test_what_all_cuts_have_is_sure_but_for_its_rim() -> None:
@@ -123,7 +158,7 @@ def test_what_one_of_six_lacks_is_not_sure() -> None:
 def test_cuts_agree_only_where_somebody_was(witness: Witness) -> None:
     """What is as consistent as a person, and was never seen to move, is none: a pillar."""
     pillar = standing_silhouettes(AT + np.array([0.9, 0.6]))
-    for guess in witness.corrected(pillar):
+    for guess in witness.corrected(pillar, nowhere(pillar)):
         assert not guess.sure.any()
 
 
@@ -136,7 +171,9 @@ def test_lower_legs_and_heads_that_all_cuts_lack_are_allowed(
         cut[: rows[0] + round(0.12 * len(rows))] = False
         cut[rows[0] + round(0.72 * len(rows)) :] = False
         cuts.append(cut)
-    for (allowed, likely, _), person, cut in zip(witness.corrected(cuts), silhouettes, cuts, strict=True):
+    for (allowed, likely, _), person, cut in zip(
+        witness.corrected(cuts, nowhere(cuts)), silhouettes, cuts, strict=True
+    ):
         assert allowed[person].mean() > 0.97
         assert np.count_nonzero(allowed) < 3 * np.count_nonzero(person)
         # Only the picture can say that they are his.
@@ -147,7 +184,9 @@ def test_legs_that_all_cuts_lack_from_the_hips_on_are_allowed(
     witness: Witness, silhouettes: list[np.ndarray]
 ) -> None:
     cuts = [person & ~lower_half(person) for person in silhouettes]
-    for (allowed, likely, _), person, cut in zip(witness.corrected(cuts), silhouettes, cuts, strict=True):
+    for (allowed, likely, _), person, cut in zip(
+        witness.corrected(cuts, nowhere(cuts)), silhouettes, cuts, strict=True
+    ):
         assert allowed[person].mean() > 0.97
         assert np.count_nonzero(allowed) < 4 * np.count_nonzero(person)  # room for a stride
         assert not likely[person & ~grown(cut, 2)].any()
@@ -156,7 +195,7 @@ def test_legs_that_all_cuts_lack_from_the_hips_on_are_allowed(
 def test_nobody_gives_nothing(witness: Witness, silhouettes: list[np.ndarray]) -> None:
     empty = [np.zeros_like(s) for s in silhouettes]
     assert not any(region.any() for region in Witness(ring_rig(), ROOM, empty).regions())
-    assert not any(part.any() for guess in witness.corrected(empty) for part in guess)
+    assert not any(part.any() for guess in witness.corrected(empty, empty) for part in guess)
 
 
 def shrunk(mask: np.ndarray, px: int) -> np.ndarray:
