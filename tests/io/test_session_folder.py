@@ -206,6 +206,27 @@ def test_size_differs_from_calibration(make_session: MakeSession) -> None:
     assert caught.value.path == root / "background" / "cam_2.png"
 
 
+@pytest.mark.parametrize("size", [(64, 46), (60, 48), (50, 34)])
+def test_pictures_that_were_padded_when_they_were_calibrated(
+    make_session: MakeSession, size: tuple[int, int]
+) -> None:
+    """Codecs store whole blocks of 16 pixels: 64 x 48 for 60 x 48."""
+    session = open_session(make_session(12, sizes={"back": size}))
+    calibrated = open_session(make_session(12, name="whole")).rig["back"]
+    assert session.rig["back"].size == size
+    np.testing.assert_array_equal(session.rig["back"].K, calibrated.K)
+    assert [w for w in session.warnings if "64 x 48" in w and "camera back" in w and "upper left" in w]
+    assert not [w for w in open_session(make_session(12, name="again")).warnings if "upper left" in w]
+
+
+@pytest.mark.parametrize("size", [(64, 32), (48, 48), (66, 48)])
+def test_pictures_that_lack_or_exceed_a_block_are_others(
+    make_session: MakeSession, size: tuple[int, int]
+) -> None:
+    with pytest.raises(MocapError, match="expected 64 x 48"):
+        open_session(make_session(12, sizes={"back": size}))
+
+
 def test_size_that_the_calibration_does_not_know_comes_from_the_video(make_session: MakeSession) -> None:
     root = make_session(12)
     text = (root / "calibration.toml").read_text()

@@ -14,28 +14,35 @@ from mocap.io.calibration import CalibrationFile
 from mocap.io.keypoints import count_frames
 from mocap.io.session.timeline import Timeline
 from mocap.io.tables import read_detections_csv
-from mocap.io.video import ClipInfo, size_error
+from mocap.io.video import ClipInfo, Size, size_error
 
 DEFAULT_FPS = 30.0
 # Headers of sound videos promise a few frames more than can be decoded; more than that means a damaged file.
 MAX_HEADER_DIFFERENCE = 5
 MAX_HEADER_DIFFERENCE_SHARE = 0.01
+_BLOCK_PX = 16  # side of a macroblock of MPEG-4 and H.264
 _MOST_LONGER = (
     2.0  # frames by which clips of different rates end apart though they were started and stopped together
 )
 
 
 def rig_with_true_sizes(rig: CameraRig, found: CalibrationFile, clips: Mapping[str, ClipInfo]) -> CameraRig:
-    """Where the calibration file gave no size, the pictures do."""
-    if not found.guessed_sizes:
-        return rig
+    """Where the calibration file gave no size, or that of padded pictures, the pictures do."""
     cameras = [
         Camera(c.name, clips[c.name].size, c.K, c.dist, c.R, c.t, c.is_fisheye)
-        if c.name in found.guessed_sizes and c.name in clips
+        if c.name in clips and (c.name in found.guessed_sizes or is_padding(c.size, clips[c.name].size))
         else c
         for c in rig
     ]
     return CameraRig(tuple(cameras))
+
+
+def is_padding(stated: Size, found: Size) -> bool:
+    """Whether a size is another one, (width, height) px, with its sides padded to whole blocks of a codec.
+
+    Codecs store 1088 rows for 1080, below or to the right; what is shown keeps its place.
+    """
+    return stated != found and stated == tuple(-(-side // _BLOCK_PX) * _BLOCK_PX for side in found)
 
 
 def check_clip_size(clip: ClipInfo, camera: Camera) -> None:

@@ -24,6 +24,7 @@ from mocap.io.session.frames import (
     choose_frames,
     frame_counts,
     frames_of_timeline,
+    is_padding,
     rig_with_true_sizes,
 )
 from mocap.io.session.record import Finding, Session, stands_alike
@@ -36,7 +37,7 @@ from mocap.io.session.sources import (
     wanted_cameras,
 )
 from mocap.io.session.timeline import TIMESTAMPS_FILE, clip_times, differing_rates, timeline
-from mocap.io.video import ClipInfo, clip_info
+from mocap.io.video import ClipInfo, Size, clip_info
 
 Frames = tuple[int | None, int | None]
 Value = TypeVar("Value")
@@ -163,7 +164,9 @@ def _sizes(o: Opening) -> list[Finding]:
     """Pictures are as large as the calibration says."""
     sizes = {c.name: c.size for c in o.rig if c.name not in o.calibration.guessed_sizes}
     o.clips = {n: clip_info(p, camera=n, size=sizes.get(n)) for n, p in (o.images or o.masks).items()}
+    padded = [n for n in o.clips if n in sizes and is_padding(sizes[n], o.clips[n].size)]
     o.rig = rig_with_true_sizes(o.rig, o.calibration, o.clips)
+    o.later = {f: replace(c, rig=rig_with_true_sizes(c.rig, c, o.clips)) for f, c in o.later.items()}
     for name, clip in o.clips.items():
         check_clip_size(clip, o.rig[name])
     for name in o.rig.names:
@@ -180,7 +183,15 @@ def _sizes(o: Opening) -> list[Finding]:
     for name, folder in _of(o.rig, o.sources.depth).items():
         size = o.settings.depth.size_of(o.rig[name].size)
         o.counted[f"{name} (depth)"] = check_depth.depth_info(folder, name, size)
-    return []
+    return [Finding("warning", _padding(n, sizes[n], o.clips[n].size)) for n in padded]
+
+
+def _padding(camera: str, stated: Size, found: Size) -> str:
+    return (
+        f"camera {camera}: the pictures are {found[0]} x {found[1]}, the calibration is of {stated[0]} x {stated[1]}, "
+        "to which codecs pad them: they are taken for its upper left part. Remedy: if `mocap check` finds lines of "
+        "sight apart, calibrate with pictures of the same size"
+    )
 
 
 def _frame_rate(o: Opening) -> list[Finding]:
