@@ -117,6 +117,14 @@ def test_without_frames_there_is_no_size() -> None:
         fit_size([], [])
 
 
+def quick_clip(state: np.ndarray, hull: PersonHull) -> person.VolumeClip:
+    """Two frames of somebody in a pose (D,), for a short search."""
+    quick = PoseConfig(n_start_frames=1, n_first_poses=1, n_layers=2, n_particles=40, look_again=False)
+    made = make_tools(FLESH.grid, 12.5, HEIGHT_M, "anthropometric", quick, LikelihoodConfig(), 1)
+    places = np.tile(state[:3], (2, 1))
+    return person.VolumeClip(1, np.arange(2), places, VolumeObservation(made, lambda _: hull))
+
+
 @pytest.mark.parametrize("with_cupboard", [False, True])
 def test_no_size_is_fitted_and_outlines_say_little_where_the_volume_holds_more_than_the_person(
     with_cupboard: bool, monkeypatch: pytest.MonkeyPatch
@@ -139,10 +147,7 @@ def test_no_size_is_fitted_and_outlines_say_little_where_the_volume_holds_more_t
         )
         voxels = np.union1d(hull.voxels, FLESH.grid.linear(subs)).astype(np.int32)
         hull = PersonHull(voxels, surface_voxels(voxels, FLESH.grid))
-    quick = PoseConfig(n_start_frames=1, n_first_poses=1, n_layers=2, n_particles=40, look_again=False)
-    t = make_tools(FLESH.grid, 12.5, HEIGHT_M, "anthropometric", quick, LikelihoodConfig(), 1)
-    observation = VolumeObservation(t, lambda _: hull)
-    clip = person.VolumeClip(1, np.arange(2), np.tile(state[:3], (2, 1)), observation)
+    clip = quick_clip(state, hull)
     height = HeightEstimate(HEIGHT_M, is_measured=True)
     start = person.start_person(clip, height, seed=0, is_size_fitted=True)
     assert bool(fitted) is not with_cupboard
@@ -168,11 +173,7 @@ def test_the_settled_pose_says_whether_the_volume_holds_more(monkeypatch: pytest
     monkeypatch.setattr(VolumeEvidence, "is_crowded", is_crowded)
     state = neutral_state(FLESH.body)
     hull = rasterise(FLESH.body, FLESH.grid, state, margin_m=VOXEL_M)
-    quick = PoseConfig(n_start_frames=1, n_first_poses=1, n_layers=2, n_particles=40, look_again=False)
-    t = make_tools(FLESH.grid, 12.5, HEIGHT_M, "anthropometric", quick, LikelihoodConfig(), 1)
-    clip = person.VolumeClip(
-        1, np.arange(2), np.tile(state[:3], (2, 1)), VolumeObservation(t, lambda _: hull)
-    )
+    clip = quick_clip(state, hull)
     start = person.start_person(clip, HeightEstimate(HEIGHT_M, is_measured=True), seed=0)
     (full, first), (gentle, second) = settled
     assert (full, gentle) == (8.0, 0.3)
@@ -197,14 +198,10 @@ def test_first_poses_and_sizes_are_looked_for_without_the_floor(monkeypatch: pyt
         spied(name)
     state = neutral_state(FLESH.body)
     hull = rasterise(FLESH.body, FLESH.grid, state, margin_m=VOXEL_M)
-    quick = PoseConfig(n_start_frames=1, n_first_poses=1, n_layers=2, n_particles=40, look_again=False)
-    t = make_tools(FLESH.grid, 12.5, HEIGHT_M, "anthropometric", quick, LikelihoodConfig(), 1)
-    clip = person.VolumeClip(
-        1, np.arange(2), np.tile(state[:3], (2, 1)), VolumeObservation(t, lambda _: hull)
-    )
+    clip = quick_clip(state, hull)
     height = HeightEstimate(HEIGHT_M, is_measured=True)
     start = person.start_person(clip, height, seed=0, is_size_fitted=True)
     assert gains == {"_most_promising": 0.0, "choose_hypothesis": 0.0, "_sized": 0.0}
-    assert start.tools.surface_fit == t.surface_fit
-    assert t.surface_fit.floor_gain > 0
+    assert start.tools.surface_fit == clip.observation.tools.surface_fit
+    assert start.tools.surface_fit.floor_gain > 0
     assert start.tools.body.height_m != HEIGHT_M  # and the body is the one that was fitted
