@@ -134,7 +134,8 @@ def first_cuts(keys: KeyPictures, region: Mask) -> list[Mask]:
 def bare_in(keys: KeyPictures, cuts: Sequence[Mask]) -> list[Mask]:
     """Where each key picture shows what is behind persons, as others of the camera show it too, (K) times (h, w) bool.
 
-    cuts : (h, w) bool, the persons in each key picture.
+    cuts : (h, w) bool, the persons in each key picture. What none of them covers is not told: legs that never move are
+    in none, either.
     """
     soft = np.stack([cv2.blur(picture, (3, 3)) for picture in keys.pictures])
     cover = np.stack([1 + 2 * cv2.dilate(cut.astype(np.uint8), _disc(_RIM_PX)) for cut in cuts])
@@ -144,7 +145,7 @@ def bare_in(keys: KeyPictures, cuts: Sequence[Mask]) -> list[Mask]:
         soft.reshape(len(soft), -1, 3), cover.reshape(len(soft), -1), _FAR,
         mean.reshape(-1, 3), np.empty_like(mean).reshape(-1, 3), n_free.reshape(-1),
     )  # fmt: skip
-    is_known = n_free >= _LEAST_BARE
+    is_known = (n_free >= _LEAST_BARE) & (n_free < len(soft))
     return [is_known & (largest_channel(np.abs(picture - mean)) < _SAME) for picture in soft]
 
 
