@@ -30,14 +30,14 @@ def rig_with_true_sizes(rig: CameraRig, found: CalibrationFile, clips: Mapping[s
     """Where the calibration file gave no size, or that of padded pictures, the pictures do."""
     cameras = [
         Camera(c.name, clips[c.name].size, c.K, c.dist, c.R, c.t, c.is_fisheye)
-        if c.name in clips and (c.name in found.guessed_sizes or is_padding(c.size, clips[c.name].size))
+        if c.name in clips and (c.name in found.guessed_sizes or _is_padding(c.size, clips[c.name].size))
         else c
         for c in rig
     ]
     return CameraRig(tuple(cameras))
 
 
-def is_padding(stated: Size, found: Size) -> bool:
+def _is_padding(stated: Size, found: Size) -> bool:
     """Whether a size is another one, (width, height) px, with its sides padded to whole blocks of a codec.
 
     Codecs store 1088 rows for 1080, below or to the right; what is shown keeps its place.

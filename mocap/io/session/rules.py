@@ -24,7 +24,6 @@ from mocap.io.session.frames import (
     choose_frames,
     frame_counts,
     frames_of_timeline,
-    is_padding,
     rig_with_true_sizes,
 )
 from mocap.io.session.record import Finding, Session, stands_alike
@@ -164,7 +163,6 @@ def _sizes(o: Opening) -> list[Finding]:
     """Pictures are as large as the calibration says."""
     sizes = {c.name: c.size for c in o.rig if c.name not in o.calibration.guessed_sizes}
     o.clips = {n: clip_info(p, camera=n, size=sizes.get(n)) for n, p in (o.images or o.masks).items()}
-    padded = [n for n in o.clips if n in sizes and is_padding(sizes[n], o.clips[n].size)]
     o.rig = rig_with_true_sizes(o.rig, o.calibration, o.clips)
     o.later = {f: replace(c, rig=rig_with_true_sizes(c.rig, c, o.clips)) for f, c in o.later.items()}
     for name, clip in o.clips.items():
@@ -183,7 +181,8 @@ def _sizes(o: Opening) -> list[Finding]:
     for name, folder in _of(o.rig, o.sources.depth).items():
         size = o.settings.depth.size_of(o.rig[name].size)
         o.counted[f"{name} (depth)"] = check_depth.depth_info(folder, name, size)
-    return [Finding("warning", _padding(n, sizes[n], o.clips[n].size)) for n in padded]
+    padded = [c for c in o.rig if c.size != sizes.get(c.name, c.size)]
+    return [Finding("warning", _padding(c.name, sizes[c.name], c.size)) for c in padded]
 
 
 def _padding(camera: str, stated: Size, found: Size) -> str:
