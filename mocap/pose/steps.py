@@ -81,6 +81,8 @@ def gait_of(poses: PersonPoses, fps: float, settings: ContactSettings) -> Gait:
     """Contacts, stances and steps of one person; every stretch between two absences is judged by itself."""
     if poses.landmarks.shape[1] == len(LANDMARKS) or not len(poses.frames):
         return Gait(poses.person, None, why_not="the body has no feet")
+    if (poses.frames[-1] - poses.frames[0]) / fps < settings.least_stance_s:
+        return Gait(poses.person, None, why_not="the person is followed for less time than a foot stands")
     if why_not := _hidden_foot(poses, settings):
         return Gait(poses.person, None, why_not=why_not)
     raw = poses.landmarks[:, list(SOLE_POINTS)]

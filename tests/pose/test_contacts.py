@@ -159,6 +159,16 @@ def test_a_hidden_foot_is_said_in_words() -> None:
     assert gait_numbers(gait) == {}
 
 
+@pytest.mark.parametrize(("frames", "is_told"), [(1, False), (3, False), (4, True)])
+def test_an_instant_tells_no_contacts(frames: int, is_told: bool) -> None:
+    poses = poses_of(walk()[:frames])
+    gait = gait_of(poses, 30.0, SETTINGS)
+    assert (gait.contacts is not None) == is_told
+    if not is_told:
+        (warning,) = warnings_of_gait(poses, gait, 30.0, SETTINGS)
+        assert "followed for less time than a foot stands" in warning
+
+
 def test_a_floor_that_is_not_there_is_said_in_words() -> None:
     poses = poses_of(walk() + np.array([0.0, 0.0, 0.3]))
     (warning,) = warnings_of_gait(poses, gait_of(poses, FPS, SETTINGS), FPS, SETTINGS)
