@@ -80,7 +80,8 @@ class Floor:
         known = (self._limit >= 0).reshape(shape)
         near = cv2.dilate(known.astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
         picture = np.clip(np.round(self._colour), 0, 255).astype(np.uint8).reshape(*shape, 3)
-        painted = cv2.inpaint(picture, (near & ~known).astype(np.uint8), 3, cv2.INPAINT_TELEA)
+        # Of all that is not known: what is farther away has no colour to lend.
+        painted = cv2.inpaint(picture, (~known).astype(np.uint8), 3, cv2.INPAINT_TELEA)
         fill = (near & ~known).ravel()
         self._colour[fill] = painted.reshape(-1, 3)[fill]
         self._limit[fill] = _USUAL_LEVELS

@@ -99,6 +99,18 @@ def test_a_floor_about_which_cameras_do_not_agree_is_not_known(cuts: list[np.nda
     assert max((floor.behind(i)[1] >= 0).mean() for i in range(6)) < 0.4
 
 
+def test_what_is_known_lends_its_colour_to_the_rim_of_a_large_place_that_is_not() -> None:
+    """Where people walk all the time the middle stays unknown, and is no colour."""
+    hidden = [on_floor(i, AT, 0.8) for i in range(6)]
+    floor = floor_of([picture(i, with_person=False) for i in range(6)], [~own for own in hidden])
+    for i in range(6):
+        colour, limit = floor.behind(i)
+        assert (limit[on_floor(i, AT, 0.3)] < 0).all()
+        rim = hidden[i] & (limit >= 0)
+        assert rim.any()
+        assert np.abs(colour - picture(i, with_person=False))[rim].mean() < 12.0 * LIGHT[i]
+
+
 def test_two_cameras_know_no_floor(cuts: list[np.ndarray]) -> None:
     free = [np.zeros_like(cut) if i > 1 else ~cut for i, cut in enumerate(cuts)]
     floor = floor_of([picture(i) for i in range(6)], free)
