@@ -24,6 +24,7 @@ from mocap.foreground.recording import (
     stirring_of,
     things_in,
     with_floor,
+    with_quiet_floor,
 )
 from mocap.foreground.refine import refine_mask
 from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segmenter, clean_mask
@@ -59,4 +60,5 @@ __all__ = [
     "triples_of",
     "unfitted",
     "with_floor",
+    "with_quiet_floor",
 ]

@@ -45,7 +45,9 @@ _FAR = 20  # levels from the usual colour that count as "something else was here
 _SHADE_OFF = 8  # levels from a darker usual colour: more is no shade
 _DARKEST = 0.5  # of the usual colour: what is darker is no shade
 _MIDDLE, _CONTRAST = 128, 0.7  # of a picture of differences: nearly all fit into its levels
-_DIFFERS = 15  # levels from what is painted in that make a pixel likely to show a person in the first cut
+_DIFFERS = (
+    15  # levels from what is quiet or painted in that make a pixel likely to show a person in the first cut
+)
 _LEAST_BARE = 3  # first cuts that leave a pixel free tell what is behind persons there
 # Levels from that within which a pixel is bare: of the quiet pixels of a real room, compressed, 95 % keep within 4 of
 # their usual colour and 99 % within 6 (decision 102).
@@ -109,6 +111,18 @@ def key_pictures(images: Iterable[Image]) -> KeyPictures:
 def keys_of(n_samples: int) -> NDArray[np.int64]:
     """Which of the samples of a clip are its key pictures, (K,) ascending."""
     return np.unique(np.linspace(0, n_samples - 1, KEY_PICTURES).round().astype(np.int64))
+
+
+def with_quiet_floor(
+    keys: KeyPictures, colour: NDArray[np.float32], limit: NDArray[np.float32]
+) -> KeyPictures:
+    """Key pictures that are quiet as well where their usual colour is that of the floor which other cameras see there.
+
+    Shade and shoes of people who walk on it leave it no more at rest than somebody who sways.
+    colour, limit : (h, w, 3) and (h, w) grey levels, as of with_floor.
+    """
+    off = largest_channel(np.abs(cv2.blur(keys.usual, (3, 3)) - colour))
+    return replace(keys, is_quiet=keys.is_quiet | ((limit >= 0) & (off < _DIFFERS)))
 
 
 def first_cuts(keys: KeyPictures, region: Mask) -> list[Mask]:

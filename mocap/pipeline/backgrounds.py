@@ -31,12 +31,13 @@ from mocap.foreground import (
     stirring_of,
     things_in,
     with_floor,
+    with_quiet_floor,
 )
 from mocap.io.session import Session
 from mocap.io.session.reading import clip_of
 from mocap.pipeline.config import SegmentationConfig
 from mocap.pipeline.empty_clips import REMEDY, fit_of_clip, unlike_recording, words_of_fits
-from mocap.volume import Floor, Guess, Witness, choose_grid
+from mocap.volume import Floor, FloorPlaces, Guess, Witness, choose_grid
 
 _LEAST_FRAMES = 3
 _LEAST_CAMERAS = 3  # two are no witnesses of what one of them takes for the room (decision 99)
@@ -136,11 +137,13 @@ def _of_recording(
             "nobody moves in this recording where enough cameras see him; whoever is in it is learnt as background. "
             f"Remedy: {REMEDY}"
         )
+    places = FloorPlaces(small, grid)
+    keys = _with_known_floor(keys, places)
     cuts = _cuts_that_agree(keys, regions, witness, each)
     things = standing_things(cuts, keys, witness, each)
     cuts = [[cut & ~gone for cut in own] for own, gone in zip(cuts, things, strict=True)]
     free = _free_of_people(cuts, witness)
-    floor = Floor(small, witness.grid, [key.pictures for key in keys], free)
+    floor = Floor(places, [key.pictures for key in keys], free)
     wanted = [(c, camera) for c, camera in enumerate(rig) if camera.name in names]
     learnt = each(lambda pair: background_of_recording(clip_of(session, pair[1]), cuts[pair[0]]), wanted)
     # What a camera shows while nobody is there stands there, as furniture does on the floor that others see behind it.
@@ -150,6 +153,12 @@ def _of_recording(
         )
         for (c, camera), background in zip(wanted, learnt, strict=True)
     }
+
+
+def _with_known_floor(keys: Sequence[KeyPictures], places: FloorPlaces) -> list[KeyPictures]:
+    """Key pictures that know the floor on which people walk all the time: where others show its colour, too."""
+    floor = Floor(places, [key.usual[None] for key in keys], [[np.ones_like(key.is_quiet)] for key in keys])
+    return [with_quiet_floor(key, *floor.behind(c)) for c, key in enumerate(keys)]
 
 
 def _cuts_that_agree(

@@ -13,7 +13,7 @@ from mocap.volume.coarsen import CoarseVoxels, coarsen
 from mocap.volume.colour import colour_hull, visible_views
 from mocap.volume.components import connected_components
 from mocap.volume.consistency import ConsistencyMonitor, SilhouetteEvidence
-from mocap.volume.floor import Floor
+from mocap.volume.floor import Floor, FloorPlaces
 from mocap.volume.furniture import things_on_floor
 from mocap.volume.grid import choose_grid, look_at_point
 from mocap.volume.mesh import hull_mesh
@@ -30,6 +30,7 @@ __all__ = [
     "CoarseVoxels",
     "ConsistencyMonitor",
     "Floor",
+    "FloorPlaces",
     "Guess",
     "OccluderLearner",
     "SecondLook",

@@ -28,38 +28,42 @@ _SOLE_M = 0.3  # what is farther from all that is known is not painted in
 _MOST_LEVELS = 60.0  # a place about which cameras agree no better is not known: it shines
 
 
+class FloorPlaces:
+    """The places of the floor under a grid, and which of them each pixel of a rig's cameras shows.
+
+    place_m : side of what has one colour.
+    """
+
+    def __init__(self, rig: CameraRig, grid: VoxelGrid, *, place_m: float = _PLACE_M) -> None:
+        centers, self.shape = _places_of(grid, place_m)
+        self.reach = round(_SOLE_M / place_m)
+        self.pixels = [pixels_of_points(camera, centers) for camera in rig]
+        self.of_pixels = [_places_in(camera, grid, self.shape, place_m) for camera in rig]
+
+
 class Floor:
-    """The colours of the floor under a grid, from pictures of all cameras.
+    """The colours of a floor, from pictures of all cameras.
 
     pictures : (K, H, W, 3) uint8 per camera, of K instants.  free : (H, W) bool for each camera and instant, where the
-    picture may show the empty room.  place_m : side of what has one colour.
+    picture may show the empty room.
     Every place has the median colour of the cameras that ever saw it free, each in its own light.
     """
 
     def __init__(
         self,
-        rig: CameraRig,
-        grid: VoxelGrid,
+        places: FloorPlaces,
         pictures: Sequence[NDArray[np.uint8]],
         free: Sequence[Sequence[Mask]],
-        *,
-        place_m: float = _PLACE_M,
     ) -> None:
-        places, shape = _places_of(grid, place_m)
-        shown = np.stack(
-            [
-                _shown(own, masks, pixels_of_points(camera, places))
-                for camera, own, masks in zip(rig, pictures, free, strict=True)
-            ]
-        )
+        shown = np.stack([_shown(*own) for own in zip(pictures, free, places.pixels, strict=True)])
         known = np.isfinite(shown[..., 0]).sum(axis=0) >= _LEAST_CAMERAS
-        self._colour = np.zeros((len(places), 3), dtype=np.float32)
-        self._limit = np.full(len(places), -1.0, dtype=np.float32)
-        self._gains = np.ones((len(rig), 3), dtype=np.float32)
+        self._colour = np.zeros((shown.shape[1], 3), dtype=np.float32)
+        self._limit = np.full(shown.shape[1], -1.0, dtype=np.float32)
+        self._gains = np.ones((len(shown), 3), dtype=np.float32)
         if known.any():
             self._agree(known, shown[:, known])
-            self._paint_in(shape, round(_SOLE_M / place_m))
-        self._places = [_places_in(camera, grid, shape, place_m) for camera in rig]
+            self._paint_in(places.shape, places.reach)
+        self._places = places.of_pixels
 
     def _agree(self, known: NDArray[np.bool_], shown: Colours) -> None:
         """Light of the cameras, colours and limits of the known places (P,) from what is shown of them (C, N, 3)."""

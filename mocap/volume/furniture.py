@@ -18,7 +18,7 @@ from mocap.arrays import largest_channel
 from mocap.data import CameraRig, VoxelGrid
 from mocap.volume.carve import pixels_in_all
 from mocap.volume.components import connected_components
-from mocap.volume.floor import Floor
+from mocap.volume.floor import Floor, FloorPlaces
 from mocap.volume.occluders import VOXEL_M
 
 Array = NDArray[np.float64]
@@ -49,9 +49,8 @@ def things_on_floor(rig: CameraRig, grid: VoxelGrid, empty: Sequence[Colours]) -
     room = VoxelGrid.from_bounds(grid.origin - around, grid.upper + around, VOXEL_M)
     pictures = [picture[..., :3] for picture in empty]
     known = [picture[..., 3] > 0 for picture in empty]
-    floor = Floor(
-        rig, room, [picture[None] for picture in pictures], [[mask] for mask in known], place_m=_PLACE_M
-    )
+    places = FloorPlaces(rig, room, place_m=_PLACE_M)
+    floor = Floor(places, [picture[None] for picture in pictures], [[mask] for mask in known])
     shown = [_shown(*pair, *floor.behind(c)) for c, pair in enumerate(zip(pictures, known, strict=True))]
 
     space = VoxelGrid.from_bounds(grid.origin, grid.upper, VOXEL_M)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from mocap.foreground import (
     stirring_of,
     things_in,
     with_floor,
+    with_quiet_floor,
 )
 from mocap.foreground.recording import keys_of
 
@@ -68,6 +71,20 @@ def test_where_somebody_is_it_is_not_quiet() -> None:
     )
     assert not keys.is_quiet[cv2.erode(always.astype(np.uint8), np.ones((5, 5))) > 0].any()
     assert len(keys.pictures) == len(keys_in(silhouettes))
+
+
+def test_where_it_shows_the_floor_that_others_know_it_is_quiet() -> None:
+    keys = key_pictures(recording()[1])
+    restless = replace(keys, is_quiet=np.zeros_like(keys.is_quiet))
+    colour = cv2.blur(keys.usual, (3, 3)).astype(np.float32) + np.array([0.0, -12.0, 8.0], dtype=np.float32)
+    colour[:, 68:] += 10.0  # another thing than the floor
+    limit = np.full((H, W), 15.0, dtype=np.float32)
+    limit[:60] = -1.0  # there the floor ends
+    expected = np.zeros((H, W), dtype=np.bool_)
+    expected[60:, :68] = True
+    np.testing.assert_array_equal(with_quiet_floor(restless, colour, limit).is_quiet, expected)
+    quiet = with_quiet_floor(keys, colour, limit).is_quiet
+    np.testing.assert_array_equal(quiet, keys.is_quiet | expected)
 
 
 def test_he_is_cut_out_of_the_key_pictures() -> None:

@@ -15,8 +15,17 @@ from small_session import CAMERAS, SIZE, copy_session, small_session
 
 from mocap.data import VoxelGrid
 from mocap.errors import MocapError
-from mocap.foreground import Background, KeyPictures, Segmenter, held_things_in, stirring_of, things_in
+from mocap.foreground import (
+    Background,
+    KeyPictures,
+    Segmenter,
+    held_things_in,
+    key_pictures,
+    stirring_of,
+    things_in,
+)
 from mocap.io.session import Session, open_session
+from mocap.io.session.reading import clip_of
 from mocap.io.video import iter_clip
 from mocap.pipeline import backgrounds as learning
 from mocap.pipeline.backgrounds import learn_backgrounds, standing_things
@@ -54,6 +63,23 @@ def test_the_recording_is_its_own_background(root: Path) -> None:
     assert [b.kind for b in backgrounds] == ["recording"] * len(CAMERAS)
     assert any("learnt from the recording itself" in w for w in warnings)
     assert iou(session, backgrounds) > MIN_IOU
+
+
+def test_the_floor_on_which_somebody_walks_all_the_time_is_known(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """His shade and his shoes stir it in every camera, but all of them have its colour as the usual one."""
+    session, keys = open_session(root), list[KeyPictures]()
+    cut = learning.first_cuts
+    monkeypatch.setattr(learning, "first_cuts", lambda own, region: keys.append(own) or cut(own, region))
+    learn_backgrounds(session, CONFIG, [])
+    with_clips = learn_backgrounds(open_session(small_session(tmp_path)), CONFIG, [])
+    for camera, own, empty in zip(session.rig, keys, with_clips, strict=True):
+        alone = key_pictures(clip_of(session, camera)).is_quiet
+        more = own.is_quiet & ~alone
+        assert more.sum() > 0.3 * np.count_nonzero(own.is_active & ~alone)
+        off = np.abs(own.usual - empty.mean).max(axis=2)
+        assert (off[more] < 20).mean() > 0.95
 
 
 @pytest.mark.parametrize(("n_cameras", "kind"), [(2, "median"), (3, "recording")])

@@ -8,7 +8,7 @@ import pytest
 from test_occluders import SIZE, hit_cylinder, on_floor, rays_of, ring_rig, standing_silhouettes
 
 from mocap.data import VoxelGrid
-from mocap.volume import Floor, Witness
+from mocap.volume import Floor, FloorPlaces, Witness
 from mocap.volume.floor import floor_behind
 
 AT = np.array([0.1, -0.2])
@@ -54,7 +54,7 @@ def cuts() -> list[np.ndarray]:
 
 
 def floor_of(pictures: list[np.ndarray], free: list[np.ndarray]) -> Floor:
-    return Floor(ring_rig(), ROOM, [own[None] for own in pictures], [[own] for own in free])
+    return Floor(FloorPlaces(ring_rig(), ROOM), [own[None] for own in pictures], [[own] for own in free])
 
 
 @pytest.fixture(scope="module")
