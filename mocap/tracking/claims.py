@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,6 +23,7 @@ from mocap.tracking.features import (
     measure_voxels,
     weight_kg,
 )
+from mocap.tracking.heads import heads_of
 from mocap.tracking.state import COASTING, RANK, TENTATIVE, Track, TrackerSettings
 from mocap.tracking.voxels import FrameVoxels
 
@@ -34,6 +36,7 @@ _SHRUNK_M = 0.35  # a component so much lower than the person was is what he has
 _ASIDE_M = 0.3  # ... when he himself stands beside it; above it is the rest of a body in two pieces
 _UNLIKE = 0.4  # Bhattacharyya coefficient under which a blob is somebody else
 _COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
+_LEAST_OF_TWO_KG = 40.0  # two children; what is lighter is not looked at
 _PULL_M = 0.4  # how far colours may move the place of a person in a blob of several
 # A person who sinks to the floor, from one frame to the next:
 _LOW_SHARE = 0.6  # of the weight that has to remain
@@ -152,9 +155,10 @@ def claim_voxels(frame: Frame, tracks: tuple[Track, ...], xyz: Array) -> tuple[d
     else:
         claims, is_taken = _claim_ellipsoids(frame, xyz)
     newborn = _create(frame, claims, is_taken)
+    if frame.settings.whole_components:
+        newborn += _create_several(frame, [*claims.values(), *newborn], is_taken)
     slots = list(range(len(tracks), len(tracks) + len(newborn)))
-    for slot, k in zip(slots, newborn, strict=True):
-        claims[slot] = replace(part_claim(frame, k), is_person=True, is_low=not frame.verdicts[k])
+    claims.update(zip(slots, newborn, strict=True))
     if frame.settings.whole_components:
         _add_fragments(frame, claims, is_taken)
     return claims, slots
@@ -426,7 +430,7 @@ def _reach(frame: Frame, track: Track, k: int, look: Histogram | None) -> float:
     return settings.reacquire_distance_m
 
 
-def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> list[int]:
+def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> list[Claim]:
     """Components that become new tracks. Source: CF 4.2.3, track creation criteria."""
     newborn: list[int] = []
     for k in _free_persons(frame, claims, is_taken, lying=frame.settings.follow_low):
@@ -435,7 +439,31 @@ def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_])
         if all(gap >= frame.settings.min_distance_m for gap in gaps):
             newborn.append(k)
             is_taken[k] = True
+    return [replace(part_claim(frame, k), is_person=True, is_low=not frame.verdicts[k]) for k in newborn]
+
+
+def _create_several(frame: Frame, others: Sequence[Claim], is_taken: NDArray[np.bool_]) -> list[Claim]:
+    """Persons who touch when first seen, in components that are too heavy or too wide for one. Not in the source."""
+    newborn: list[Claim] = []
+    for k in np.flatnonzero(~is_taken & ~frame.verdicts & (frame.parts.weight_kg >= _LEAST_OF_TWO_KG)):
+        apart = _apart(frame, frame.parts.voxels(int(k)))
+        owners = [c for c in (*others, *newborn) if len(c.voxels)]
+        gaps = [np.linalg.norm(new.centroid[:2] - own.centroid[:2]) for new in apart for own in owners]
+        if apart and all(gap >= frame.settings.min_distance_m for gap in gaps):
+            newborn += apart
+            is_taken[k] = True
     return newborn
+
+
+def _apart(frame: Frame, voxels: Indices) -> list[Claim]:
+    """One claim for each head of a component, by the nearest head; none where they are not all persons."""
+    centers = frame.voxels.centers[voxels]
+    heads = heads_of(centers, frame.settings.voxel_size_m)
+    if len(heads) < 2:
+        return []
+    nearest = np.linalg.norm(centers[:, None, :2] - heads, axis=2).argmin(axis=1)
+    shares = [replace(claim_of(frame, voxels[nearest == i]), is_shared=True) for i in range(len(heads))]
+    return shares if all(share.is_person for share in shares) else []
 
 
 def _add_fragments(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> None:

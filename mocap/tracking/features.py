@@ -14,6 +14,8 @@ from mocap.arrays import Array
 from mocap.tracking import _kernels
 
 BODY_DENSITY_KG_PER_LITRE = 1.1  # rho of CF Table 4.1
+# Person + chair + tolerant carving: 418 kg; above that, several persons, a wall or an unusable background.
+MOST_KG = 600.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ PERSON_TREE = Split(
     False,
     Split(
         "weight_kg",
-        600.0,  # person + chair + tolerant carving: 418 kg; above that, a wall or an unusable background
+        MOST_KG,
         Split("top_m", 0.55, False, _HEIGHT_IS_PERSON),  # deep crouch of a 1.6 m person: 0.75 m; not a shadow
         False,
     ),
@@ -206,7 +208,7 @@ def is_person(features: BlobFeatures, tree: Split | bool = PERSON_TREE) -> bool:
 def may_be_low(features: BlobFeatures) -> bool:
     """Whether a blob could be somebody on the floor whom one knows already: no shadow, and not the whole room."""
     is_thick = features.height_m >= _LOW_M and features.top_m - features.height_m < 0.35
-    return is_thick and features.weight_kg < 600.0 and is_person(features, _BOX_IS_PERSON)
+    return is_thick and features.weight_kg < MOST_KG and is_person(features, _BOX_IS_PERSON)
 
 
 def may_lie(features: BlobFeatures) -> bool:

@@ -1,0 +1,96 @@
+"""People who touch when they are first seen: their heads, and one track for each of them."""
+
+import numpy as np
+import pytest
+from bodies import BLUE, GREEN, RED, box, confirmed, observe, person, run, settings
+
+from mocap.tracking.heads import heads_of
+
+# What few cameras see between people: as high as their shoulders, and wider than they are.
+BETWEEN = box(0.0, 0.0, 0.6, 0.25, 0.0, 1.25)
+TOUCHING = [BETWEEN, *person(-0.4, 0.0, RED), *person(0.4, 0.1, BLUE, height=1.55)]
+
+
+def heads(boxes, side):
+    return heads_of(observe(boxes, side=side).centers, side)
+
+
+@pytest.mark.parametrize("side", [0.02, 0.05])
+def test_heads_rise_from_what_is_between_people(side):
+    np.testing.assert_allclose(heads(TOUCHING, side), [(-0.4, 0.0), (0.4, 0.1)], atol=side)
+    three = [*TOUCHING, *person(0.0, -0.4, GREEN, height=1.9)]
+    np.testing.assert_allclose(heads(three, side), [(0.0, -0.4), (-0.4, 0.0), (0.4, 0.1)], atol=side)
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        (box(0.3, 0.0, 0.05, 0.05, 1.0, 1.9), "a raised arm is too thin"),
+        (box(0.35, 0.0, 0.15, 0.15, 0.0, 0.9), "a seat is too low"),
+        (box(0.3, 0.0, 0.15, 0.2, 1.2, 1.58), "what one comes down to by less than 15 cm is the same head"),
+    ],
+)
+def test_one_person_has_one_head(more, why):
+    assert len(heads([*person(0.0, 0.0), box(0.15, 0.0, 0.35, 0.2, 0.3, 0.5), more], 0.02)) == 1, why
+
+
+def test_each_of_those_who_touch_is_a_person_from_the_first_frame():
+    s = settings()
+    infos, _ = run([TOUCHING] * 4, s)
+    assert [t.person for t in infos[0].tracks] == [1, 2]
+    assert confirmed(infos[-1]) == [1, 2]
+    for info in infos:
+        places = sorted(float(t.xyz[0]) for t in info.tracks)
+        np.testing.assert_allclose(places, (-0.4, 0.4), atol=0.1)
+        assert not np.intersect1d(*info.voxels_of.values()).size
+        assert info.n_unassigned == 0
+
+
+def test_two_who_hold_hands_far_apart_are_two():
+    """No single person is so wide."""
+    hands = box(0.0, 0.0, 1.4, 0.05, 1.0, 1.1)
+    infos, _ = run([[*person(-1.3, 0.0, RED), hands, *person(1.3, 0.0, BLUE)]] * 4, settings())
+    assert confirmed(infos[-1]) == [1, 2]
+
+
+def test_as_published_they_are_nobody():
+    infos, _ = run([TOUCHING] * 4, settings(whole_components=False))
+    assert not infos[-1].tracks
+
+
+@pytest.mark.parametrize(
+    ("boxes", "why"),
+    [
+        ([box(0.0, 0.0, 1.2, 0.4, 0.0, 2.0)], "a wall has one top"),
+        (
+            [box(0.0, 0.0, 0.8, 0.8, 0.0, 1.2), *person(0.3, 0.0)],
+            "one head is one person, and he is in a thing",
+        ),
+        (
+            [
+                box(0.0, 0.0, 0.2, 2.0, 0.0, 0.9),
+                box(0, 0, 0.4, 0.4, 0, 1.2),
+                *person(0.0, -1.8),
+                *person(0.0, 1.8),
+            ],
+            "a share that is too heavy is no person",
+        ),
+    ],
+)
+def test_what_is_too_heavy_for_one_person_is_not_always_several(boxes, why):
+    infos, _ = run([boxes] * 4, settings())
+    assert not infos[-1].tracks, why
+
+
+@pytest.mark.parametrize(("min_distance_m", "n_persons"), [(0.5, 3), (0.7, 1)])
+def test_nobody_is_born_too_near_to_another(min_distance_m, n_persons):
+    infos, _ = run([[*TOUCHING, *person(-0.4, -0.55, GREEN)]] * 4, settings(min_distance_m=min_distance_m))
+    assert len(confirmed(infos[-1])) == n_persons
+
+
+def test_somebody_who_was_followed_before_keeps_what_is_his():
+    """Who comes to somebody whom one follows is a track of his own already, or none: the others are divided."""
+    s = settings()
+    infos, _ = run([person(-0.4, 0.0, RED)] * 5 + [TOUCHING] * 4, s)
+    assert confirmed(infos[4]) == [1]
+    assert [t.person for t in infos[5].tracks] == [1]
