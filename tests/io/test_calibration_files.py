@@ -254,6 +254,40 @@ def test_opencv_storage_all_cameras_in_one_file(tmp_path: Path, rig: CameraRig) 
     assert any("metres assumed" in n for n in found.notes)
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("mtx", "dist", "rvec", "tvec"),
+        ("Camera_Matrix", "Distortion_Coefficients", "Rot", "T"),
+        ("CameraMatrix", "DistortionCoeffs", "RotationValues", "TranslationValues"),
+        ("CameraIntrinsicMatrix", "DistortionCoeffs", "CameraRotationVecs", "CameraTranslationVecs"),
+        ("K", "distCoeffs", "rotation_vector", "translation_vector"),
+        ("intrinsic_matrix", "D", "r", "t"),
+    ],
+)
+def test_opencv_storage_as_many_programs_name_its_nodes(
+    tmp_path: Path, rig: CameraRig, names: tuple[str, ...]
+) -> None:
+    for camera in rig:
+        storage = cv2.FileStorage(str(tmp_path / f"{camera.name}.xml"), cv2.FILE_STORAGE_WRITE)
+        vector = rotation_vector_from_matrix(camera.R).reshape(3, 1)
+        for name, value in zip(names, (camera.K, camera.dist, vector, camera.t.reshape(3, 1)), strict=True):
+            storage.write(name, value)
+        storage.write("imageSize", np.array(camera.size))
+        storage.release()
+    assert_same_rig(read_calibration(tmp_path).rig, rig, SAME)
+
+
+def test_opencv_storage_without_a_camera_names_its_nodes(tmp_path: Path) -> None:
+    storage = cv2.FileStorage(str(tmp_path / "a.yml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("lens", np.eye(3))
+    storage.write("place", np.zeros(3))
+    storage.release()
+    with pytest.raises(MocapError, match="holds no camera; its nodes are lens, place") as caught:
+        read_calibration(tmp_path / "a.yml")
+    assert "camera_matrix" in str(caught.value.remedy)
+
+
 def test_opencv_storage_without_extrinsics(tmp_path: Path, rig: CameraRig) -> None:
     storage = cv2.FileStorage(str(tmp_path / "a.yml"), cv2.FILE_STORAGE_WRITE)
     storage.write("camera_matrix", rig[0].K)
