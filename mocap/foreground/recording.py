@@ -45,9 +45,8 @@ _FAR = 20  # levels from the usual colour that count as "something else was here
 _SHADE_OFF = 8  # levels from a darker usual colour: more is no shade
 _DARKEST = 0.5  # of the usual colour: what is darker is no shade
 _MIDDLE, _CONTRAST = 128, 0.7  # of a picture of differences: nearly all fit into its levels
-_DIFFERS = (
-    15  # levels from what is quiet or painted in that make a pixel likely to show a person in the first cut
-)
+# Levels from what is quiet or painted in that make a pixel likely to show a person in the first cut.
+_DIFFERS = 15
 _LEAST_BARE = 3  # first cuts that leave a pixel free tell what is behind persons there
 # Levels from that within which a pixel is bare: of the quiet pixels of a real room, compressed, 95 % keep within 4 of
 # their usual colour and 99 % within 6 (decision 102).
