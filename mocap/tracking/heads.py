@@ -19,9 +19,11 @@ def heads_of(centers: Array, voxel_size_m: float) -> Array:
     centers : (N, 3) m of its voxels.
     A head is the highest place of all around from which one cannot come to a higher one without descending by 0.15 m.
     """
-    columns = np.floor((centers[:, :2] - centers[:, :2].min(axis=0)) / voxel_size_m + 0.5).astype(np.int64)
-    top = np.zeros(columns.max(axis=0) + 3, dtype=np.float32)  # with a rim of nothing
-    np.maximum.at(top, tuple(columns.T + 1), centers[:, 2] + voxel_size_m / 2)
+    x, y, z = np.ascontiguousarray(centers.T, dtype=np.float32)  # reducing rows of three is ten times slower
+    origin = np.array([x.min(), y.min()])
+    column, row = (np.rint((c - c.min()) / voxel_size_m).astype(np.int64) + 1 for c in (x, y))
+    top = np.zeros((column.max() + 2, row.max() + 2), dtype=np.float32)  # with a rim of nothing
+    np.maximum.at(top.ravel(), column * top.shape[1] + row, z + np.float32(voxel_size_m / 2))
     radius = round(_FINGERS_M / voxel_size_m)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     top = cv2.morphologyEx(top, cv2.MORPH_OPEN, disc)
@@ -36,6 +38,6 @@ def heads_of(centers: Array, voxel_size_m: float) -> Array:
         around = labels == labels[np.unravel_index(np.argmax(rest), rest.shape)]
         if not (around & ~is_free).any():
             peak = np.argwhere(around & (top > height - voxel_size_m / 2)).mean(axis=0)
-            heads.append(centers[:, :2].min(axis=0) + voxel_size_m * (peak - 1))
+            heads.append(origin + voxel_size_m * (peak - 1))
         is_free &= ~around
     return np.array(heads).reshape(-1, 2)
