@@ -13,17 +13,34 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.arrays import Array
+from mocap.arrays import Array, Indices
 from mocap.errors import MocapError
+from mocap.io.fiducials import OURS, TAGS, dictionary_of
 
 Kind = Literal["checkerboard", "charuco", "aprilgrid"]
 KINDS: tuple[Kind, ...] = ("checkerboard", "charuco", "aprilgrid")
-# What `mocap board` prints and `mocap calibrate` expects.  Markers of 5 x 5 bits: readable down to some 20 px.
-_DICTIONARY = {"charuco": cv2.aruco.DICT_5X5_1000, "aprilgrid": cv2.aruco.DICT_APRILTAG_36h11}
-# A ChArUco marker's side, as a share of its square; a tag's distance to the next, as a share of its side.
-MARKER_SHARE = 0.75
+# A tag's distance to the next, as a share of its side.
 GAP_SHARE = 0.3
 _FEWEST, _MOST = 3, 50
+
+
+@dataclass(frozen=True)
+class Print:
+    """How a ChArUco board is printed; by default as `mocap board` does it.  Other programs print other boards.
+
+    family : of its markers, one of `mocap.io.fiducials.FAMILIES`.  marker_share : a marker's side, as a share of its
+    square.  is_negative : black and white exchanged.  begins_white : the upper left square is white though rows are
+    even, as OpenCV before 4.6 drew it.
+    """
+
+    family: str = OURS
+    marker_share: float = 0.75
+    is_negative: bool = False
+    begins_white: bool = False
+
+    def __str__(self) -> str:
+        less = f"markers {self.family}, {self.marker_share:.2f} of a square"
+        return less + ", negative" * self.is_negative + ", begins white" * self.begins_white
 
 
 @dataclass(frozen=True)
@@ -31,20 +48,22 @@ class Board:
     """A flat calibration target.
 
     columns, rows : inner corners of a checkerboard, squares of a ChArUco board, tags of an AprilTag grid.
-    side_m : of a square; of a tag.
+    side_m : of a square; of a tag.  print : of a ChArUco board.
     """
 
     kind: Kind
     columns: int
     rows: int
     side_m: float
+    print: Print = Print()
 
     def __post_init__(self) -> None:
         if not self.side_m > 0:
             raise ValueError(f"side_m must be positive, got {self.side_m}")
 
     def __str__(self) -> str:
-        return f"{self.kind} {self.columns} x {self.rows}"
+        unusual = f" ({self.print})" if self.print != Print() else ""
+        return f"{self.kind} {self.columns} x {self.rows}{unusual}"
 
     @property
     def has_numbers(self) -> bool:
@@ -75,7 +94,7 @@ class Board:
         """Side of the smallest thing that must be seen: a square, or a bit of a marker."""
         if self.kind == "checkerboard":
             return self.side_m
-        share = MARKER_SHARE if self.kind == "charuco" else 1.0
+        share = self.print.marker_share if self.kind == "charuco" else 1.0
         return share * self.side_m / (self._dictionary.markerSize + 2)
 
     @cached_property
@@ -116,25 +135,38 @@ class Board:
             edges = np.array([x, y, x + w, y + h]) + margin_m
             left, top, right, bottom = np.rint(edges * px_per_m).astype(int)
             picture[top:bottom, left:right] = 0
-        return picture
+        return 255 - picture if self.print.is_negative else picture
 
     @cached_property
     def _dictionary(self) -> Any:
-        return cv2.aruco.getPredefinedDictionary(_DICTIONARY[self.kind])
+        family = self.print.family if self.kind == "charuco" else TAGS
+        return dictionary_of(family, self.columns * self.rows)
+
+    def marker_corners(self, numbers: Indices) -> Array:
+        """Corners (N, 4, 2) m of markers of a ChArUco board, from its upper left corner."""
+        return np.array([self._pattern.getObjPoints()[number] for number in numbers])[..., :2]
 
     @cached_property
     def _pattern(self) -> Any:
         if self.kind == "charuco":
-            marker_m = MARKER_SHARE * self.side_m
-            return cv2.aruco.CharucoBoard((self.columns, self.rows), self.side_m, marker_m, self._dictionary)
+            marker_m = self.print.marker_share * self.side_m
+            pattern = cv2.aruco.CharucoBoard(
+                (self.columns, self.rows), self.side_m, marker_m, self._dictionary
+            )
+            pattern.setLegacyPattern(self.print.begins_white)
+            return pattern
         gap_m = GAP_SHARE * self.side_m
         return cv2.aruco.GridBoard((self.columns, self.rows), self.side_m, gap_m, self._dictionary)
 
     def _black_squares(self) -> list[tuple[float, float, float, float]]:
         across, down = self.n_squares
         side = self.side_m
+        first = 1 if self.print.begins_white and down % 2 == 0 else 0
         return [
-            (x * side, y * side, side, side) for y in range(down) for x in range(across) if (x + y) % 2 == 0
+            (x * side, y * side, side, side)
+            for y in range(down)
+            for x in range(across)
+            if (x + y) % 2 == first
         ]
 
     def _black_bits(self) -> list[tuple[float, float, float, float]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.arrays import Array
-from mocap.calibrate.board import MARKER_SHARE, Board
+from mocap.calibrate.board import Board
 from mocap.io.checkerboard import find_board, quadrangles, refined_corners
 
 Grey = NDArray[np.uint8]
@@ -25,42 +25,55 @@ _MAX_BURNT = 0.75
 # Slope of the steepest pixels as a share of the board's contrast: a sharp edge rises by half of it per pixel, one that
 # is smeared over five pixels by a fifth.
 _SHARP_SLOPE = 0.2
-# White between a corner and the nearest marker, as a share of a square.
-_MARKER_MARGIN = (1 - MARKER_SHARE) / 2
 # OpenCV's refinement of tags counts pixels from their upper left corner; here a pixel's centre is a whole number.
 _TAG_PIXEL_CENTRE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """Corners of known places in one picture: points (N, 3) m of the board or the world, uv (N, 2) px."""
+    """Corners of known places in one picture: points (N, 3) m of the board or the world, uv (N, 2) px.
+
+    is_mirrored : it is the mirror image of the board that was found.
+    """
 
     points: Array
     uv: Array
+    is_mirrored: bool = False
 
 
 def find_corners(board: Board, grey: Grey) -> Sighting | Why:
     """The board in a picture (H, W), or in a word why it was not found.
 
-    A checkerboard is found whole; of boards with numbers MIN_CORNERS corners are enough.
+    A checkerboard is found whole; of boards with numbers MIN_CORNERS corners are enough.  One that is the mirror image
+    of such a board is its back, on which it is printed again, corner upon corner: cameras that face each other see it.
     """
     if board.kind == "checkerboard":
         uv = find_board(grey, (board.columns, board.rows))
         return Sighting(board.points, uv) if uv is not None else _why_not(board, grey)
-    numbers, uv = _charuco(board, grey) if board.kind == "charuco" else _tags(board, grey)
-    if len(numbers) < MIN_CORNERS or _is_line(board.points[numbers]):
-        return _why_not(board, grey)
-    return Sighting(board.points[numbers], uv)
+    for is_mirrored in (False, True):
+        numbers, uv = _numbered(board, np.ascontiguousarray(grey[:, ::-1]) if is_mirrored else grey)
+        if len(numbers) >= MIN_CORNERS and not _is_line(board.points[numbers]):
+            if is_mirrored:
+                uv[:, 0] = grey.shape[1] - 1 - uv[:, 0]
+            return Sighting(board.points[numbers], uv, is_mirrored)
+    return _why_not(board, grey)
+
+
+def _numbered(board: Board, grey: Grey) -> tuple[NDArray[np.int64], Array]:
+    """Numbers and places of the corners of a board with numbers."""
+    return _charuco(board, grey) if board.kind == "charuco" else _tags(board, grey)
 
 
 def _charuco(board: Board, grey: Grey) -> tuple[NDArray[np.int64], Array]:
-    uv, numbers, _, _ = board.marker_detector.detectBoard(grey)
+    picture = 255 - grey if board.print.is_negative else grey
+    uv, numbers, _, _ = board.marker_detector.detectBoard(picture)
     if numbers is None:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     found = np.ravel(numbers).astype(np.int64)
     corners = np.asarray(uv, dtype=np.float64).reshape(-1, 2)
     # The detector's own windows reach into the markers, which pulls corners by up to 0.3 px.
-    reach_px = _MARKER_MARGIN * board.side_m * _smallest_scale(board.points[found, :2], corners)
+    margin_m = (1 - board.print.marker_share) / 2 * board.side_m
+    reach_px = margin_m * _smallest_scale(board.points[found, :2], corners)
     return found, refined_corners(grey, corners, reach_px)
 
 

@@ -97,10 +97,18 @@ def _relative_poses(views: BoardViews, options: _Options) -> dict[str, Array]:
         reach = [(edge, n) for edge, (n, _) in edges.items() if edge[0] in placed and edge[1] not in placed]
         if not reach:
             lost = next(name for name in views.names if name not in placed)
+            remedy = (
+                "show the board to two cameras at once, moving and turning it; clips must be synchronised"
+            )
+            if mirrored := views.only_mirrored():
+                remedy += (
+                    f"; what {', '.join(mirrored)} saw is the mirror image of the board: unless it is printed on both "
+                    "sides, the clip is mirrored (as for a selfie), and must be turned back"
+                )
             raise MocapError(
                 "the camera has too few views of the board at the same time as the others",
                 camera=lost,
-                remedy="show the board to two cameras at once, moving and turning it; clips must be synchronised",
+                remedy=remedy,
             )
         (a, b), _ = max(reach, key=lambda found: found[1])
         placed[b] = placed[a] @ edges[a, b][1]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mocap.calibrate.board import Board
 from mocap.calibrate.detect import Sighting, Why, find_corners
+from mocap.calibrate.filmed import as_filmed
 from mocap.errors import MocapError
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from mocap.io.checkerboard import COMMON_BOARDS, find_board
@@ -51,6 +52,10 @@ class BoardViews:
     def n_views(self) -> dict[str, int]:
         """Frames in which each camera saw the board."""
         return {name: len(self.of_camera(name)) for name in self.names}
+
+    def only_mirrored(self) -> list[str]:
+        """Cameras that saw nothing but mirror images of the board."""
+        return [n for n in self.names if (seen := self.of_camera(n)) and all(s.is_mirrored for s in seen)]
 
     def why_missed(self, name: str) -> str:
         """Words for the frames without a board: `31 not in view, 4 blurred`."""
@@ -96,19 +101,24 @@ def find_board_views(
         )
     spread = np.linspace(0, n - 1, min(n, n_frames)).round().astype(int).tolist()
     wanted = sorted({*spread, *([] if floor_frame is None else [floor_frame])})
-    views = BoardViews(board, {name: info.size for name, info in infos.items()}, {f: {} for f in wanted}, n)
+    sizes = {name: info.size for name, info in infos.items()}
+    seen: dict[int, dict[str, Sighting]] = {f: {} for f in wanted}
+    missed: dict[str, Counter[Why]] = {name: Counter() for name in clips}
+    # Until somebody has seen how a ChArUco board is printed, every picture is asked.
+    is_known = board.kind != "charuco"
     total, done = len(wanted) * len(clips), 0
     for name, path in clips.items():
-        missed = views.missed.setdefault(name, Counter())
         for frame, grey in _pictures(path, name, wanted):
+            if not is_known and (filmed := as_filmed(board, grey)) is not None:
+                board, is_known = filmed, True
             found = find_corners(board, grey)
             if isinstance(found, Sighting):
-                views.seen[frame][name] = found
+                seen[frame][name] = found
             else:
-                missed[found] += 1
+                missed[name][found] += 1
             done += 1
             progress("board", done, total)
-    return views
+    return BoardViews(board, sizes, seen, n, missed)
 
 
 def board_in_place_of(views: BoardViews, clips: Mapping[str, Path]) -> tuple[int, int] | None:

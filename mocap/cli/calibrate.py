@@ -414,7 +414,7 @@ def _from_board(
         found.rig,
         metadata={
             "source": "mocap calibrate",
-            "board": str(target),
+            "board": str(views.board),
             "square_mm": square_mm,
             "rms_px": round(found.rms_px, 4),
         },
@@ -422,6 +422,7 @@ def _from_board(
     page = out.with_suffix(".html")
     room = uncertainty_map(found.adjusted)
     write_page(page, found, views, room)
+    typer.echo(f"Board: {views.board}, squares of {square_mm:g} mm")
     for camera in found.rig:
         name = camera.name
         certain = f"± {100 * found.focal_deviation[name]:.2f} %" if known is None else "as given"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ from small_session import mocap
 
 from eval.board_calibration import BOARDS, FLOOR_FRAME, errors, looking_rig, picture, positions
 from mocap.calibrate import Board, find_clips
+from mocap.calibrate.board import Print
 from mocap.data import CameraRig
 from mocap.errors import MocapError
 from mocap.io.calibration import read_calibration, write_calibration
@@ -91,6 +93,28 @@ def test_a_board_with_numbers_known_lenses_and_known_places(tmp_path: Path) -> N
     for a, b in zip(found, rig, strict=True):
         np.testing.assert_allclose(a.K, b.K, rtol=1e-9)
     assert "px, given" in (tmp_path / "calibration.html").read_text(encoding="utf-8")
+
+
+def test_a_board_of_another_program_and_a_clip_that_is_mirrored(tmp_path: Path) -> None:
+    """Its print is found and said; a mirrored clip is named, where its remedy would be another."""
+    rig = write_clips(tmp_path / "clips", replace(BOARDS[1], print=Print("4x4", is_negative=True)), scale=1.6)
+    write_calibration(tmp_path / "lenses.toml", rig)
+    path = tmp_path / "calibration.toml"
+    call = (
+        *("calibrate", tmp_path / "clips", "-o", path, "--board", "charuco:8x6", "--square-mm", SIDE_MM),
+        *("--floor-frame", FLOOR_FRAME, "--lenses", tmp_path / "lenses.toml", "--frames", 12),
+    )
+    said = mocap(*call)
+    assert said.code == 0, said.err
+    assert "Board: charuco 8 x 6 (markers 4x4, 0.75 of a square, negative), squares of" in said.out
+    assert errors(read_calibration(path).rig, rig)[1] < PLACE_TOLERANCE_M
+    path.unlink()
+    for picture_path in (tmp_path / "clips" / "left").iterdir():
+        cv2.imwrite(str(picture_path), cv2.imread(str(picture_path))[:, ::-1])
+    said = mocap(*call)
+    assert said.code == 2, said.out
+    assert "what left saw is the mirror image of the board" in said.err
+    assert not path.exists()
 
 
 def test_mistakes_are_named_and_nothing_is_written(clips: Path, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from mocap.errors import MocapError
 from mocap.io._files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, natural_key
 from mocap.io.calibration import calibration_candidates
 from mocap.io.checkerboard import COMMON_BOARDS, find_board
+from mocap.io.fiducials import TAGS, fiducials_in
 from mocap.io.video import ClipInfo, clip_info, iter_clip
 from mocap.progress import Progress, no_progress
 
@@ -67,7 +68,6 @@ _SMALL = (48, 36)  # px: of a picture that is compared with others
 _MOVES = 12.0  # of 255: a pixel that changes by more between looks does not belong to an empty scene
 _MOVES_SHARE = 0.004  # of the picture: somebody small
 _BOARD_LOOKS = 3  # pictures that are searched for a board
-_LEAST_TAGS = 4
 _ALIKE = 0.9  # correlation of the small pictures of one camera, from one clip to another
 _CLEARLY = 0.05  # by which the best is better than the next
 
@@ -264,14 +264,8 @@ def _looks(path: Path, n_frames: int) -> Iterator[Grey]:
 def _board_in(greys: Sequence[Grey]) -> str:
     """What board some of the pictures show, in words; nothing when none."""
     for grey in greys[:: max(1, len(greys) // _BOARD_LOOKS)][:_BOARD_LOOKS]:
-        for family, word in (
-            (cv2.aruco.DICT_5X5_250, "a ChArUco board"),
-            (cv2.aruco.DICT_APRILTAG_36H11, "tags"),
-        ):
-            detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(family))
-            _, ids, _ = detector.detectMarkers(grey)
-            if ids is not None and len(ids) >= _LEAST_TAGS:
-                return word
+        if seen := fiducials_in(grey):
+            return "tags" if seen.family == TAGS else "a ChArUco board"
         for size in COMMON_BOARDS:
             if find_board(grey, size) is not None:
                 return f"a checkerboard of {size[0]} x {size[1]} inner corners"
