@@ -2,7 +2,7 @@
 
 from mocap.calibrate.board import Board, board_from_text
 from mocap.calibrate.lens import Lens, LensModel
-from mocap.calibrate.solve import Calibrated, WorldPoints, calibrate
+from mocap.calibrate.solve import Calibrated, WorldPoints, calibrate, resect
 from mocap.calibrate.views import BoardViews, find_board_views, find_clips
 
 __all__ = [
@@ -16,4 +16,5 @@ __all__ = [
     "calibrate",
     "find_board_views",
     "find_clips",
+    "resect",
 ]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from mocap.calibrate.bundle import Adjusted
+from mocap.calibrate.bundle import WORLD, Adjusted
+from mocap.calibrate.detect import Sighting
 from mocap.calibrate.views import BoardViews
 from mocap.data import CameraRig
 from mocap.errors import MocapError
@@ -23,6 +24,12 @@ _MAX_FOCAL_SD, _WARN_FOCAL_SD = 0.05, 0.01
 _WARN_RMS_PX, _MAX_RMS_PX = 1.0, 5.0
 _WARN_CENTRE = 0.15
 _WARN_PLACE_SD_M = 0.02
+_LOW_M = 0.1  # no camera stands lower
+# Points of known place: with so many or fewer, leaving one out leaves nothing that could disagree.
+_FEWEST_TO_LEAVE_OUT = 5
+# One without which the others are off by less than this share of what they are with it does not belong to them.
+_ODD_POINT = 0.4
+_WARN_POINTS_PX = 3.0  # pointed at by hand; corners of a board are found more exactly
 
 
 def check_views(views: BoardViews, floor_frame: int | None, has_lenses: bool) -> None:
@@ -115,6 +122,65 @@ def warnings(rig: CameraRig, adjusted: Adjusted, rms_px_of: Mapping[str, float])
             found.append(
                 f"camera {name}: its centre is far from the middle of the picture; show the board near the edges too"
             )
-        if camera.center[2] < 0.1:
+        if camera.center[2] < _LOW_M:
             found.append(f"camera {name} lies at {camera.center[2]:.2f} m; is the floor frame right?")
     return found
+
+
+def check_points(name: str, placed: Adjusted, without: Callable[[Sighting], Adjusted]) -> None:
+    """Refuse points of known place that no place of a camera explains; one that is far off all others is named.
+
+    without : places the camera by other points.
+    """
+    rms_px = _rms_px(placed)
+    sighting = placed.bundle.sightings[WORLD, name]
+    n = len(sighting.uv)
+    if rms_px > _WARN_RMS_PX and n > _FEWEST_TO_LEAVE_OUT:
+        left = [
+            without(Sighting(np.delete(sighting.points, k, 0), np.delete(sighting.uv, k, 0)))
+            for k in range(n)
+        ]
+        odd = int(np.argmin([_rms_px(one) for one in left]))
+        if _rms_px(left[odd]) < min(_ODD_POINT * rms_px, _MAX_RMS_PX):
+            place = ", ".join(f"{x:g}" for x in sighting.points[odd])
+            u, v = sighting.uv[odd]
+            raise MocapError(
+                f"the point at ({place}) m, pixel ({u:g}, {v:g}), does not go with the other {n - 1}: they are off by "
+                f"{_rms_px(left[odd]):.1f} px without it, {rms_px:.1f} px with it",
+                camera=name,
+                remedy="look whether its place and its pixel belong together, or leave it out",
+            )
+    if rms_px > _MAX_RMS_PX:
+        raise MocapError(
+            f"the points of known place are off by {rms_px:.1f} px: no place of the camera explains them",
+            camera=name,
+            remedy="check which point is which, that places are metres with z up, and that the lens is that of "
+            "this zoom and picture size",
+        )
+
+
+def warnings_of_points(rig: CameraRig, adjusted: Adjusted, rms_px_of: Mapping[str, float]) -> list[str]:
+    """What may be wrong with cameras that were placed by points."""
+    found = []
+    for name in rig.names:
+        n = len(adjusted.bundle.sightings[WORLD, name].uv)
+        if n <= _FEWEST_TO_LEAVE_OUT:
+            found.append(
+                f"camera {name}: {n} points say little of their own errors; give {_FEWEST_TO_LEAVE_OUT + 1} or more"
+            )
+        if rms_px_of[name] > _WARN_POINTS_PX:
+            found.append(
+                f"camera {name}: points are off by {rms_px_of[name]:.1f} px; measure and point more exactly"
+            )
+        if adjusted.center_deviation_m(name) > _WARN_PLACE_SD_M:
+            found.append(
+                f"camera {name}: its place is uncertain by {1000 * adjusted.center_deviation_m(name):.0f} mm; give "
+                "more points, further apart and at several heights"
+            )
+        if rig[name].center[2] < _LOW_M:
+            found.append(f"camera {name} lies at {rig[name].center[2]:.2f} m; is z up, and 0 on the floor?")
+    return found
+
+
+def _rms_px(placed: Adjusted) -> float:
+    return float(np.sqrt(np.mean([(r**2).sum(axis=1).mean() for r in placed.bundle.residuals().values()])))

@@ -18,24 +18,28 @@ from mocap.view.html import Figure, PageSection, escaped, figures_html, page_htm
 from mocap.view.plotting import INK, LINE_COLOURS, finish, new_figure, note, png
 
 
-def write_page(path: Path, found: Calibrated, views: BoardViews, room: UncertaintyMap) -> None:
-    """One HTML file that stands alone."""
+def write_page(path: Path, found: Calibrated, views: BoardViews | None, room: UncertaintyMap) -> None:
+    """One HTML file that stands alone; without views cameras were placed by points of known place."""
     sections = [
         PageSection("cameras", "Cameras", _cameras(found, views) + warning_list(found.warnings)),
         PageSection("trust", "How certain the room is", figures_html([room_figure(found, room)])),
-        PageSection("seen", "Where the board was seen", figures_html([coverage_figure(found)])),
+        PageSection(
+            "seen",
+            "Where the board was seen" if views else "Where the points were seen",
+            figures_html([coverage_figure(found)]),
+        ),
     ]
-    subtitle = (
-        f"<p>{escaped(views.board)}, {len(found.rig)} cameras, corners off by {found.rms_px:.2f} px</p>"
-    )
+    by, what = (views.board, "corners") if views else ("points of known place", "they are")
+    subtitle = f"<p>{escaped(by)}, {len(found.rig)} cameras, {what} off by {found.rms_px:.2f} px</p>"
     write_html(
         path, page_html("Calibration", "mocap calibrate", sections, subtitle=subtitle), what="the page"
     )
 
 
-def _cameras(found: Calibrated, views: BoardViews) -> str:
+def _cameras(found: Calibrated, views: BoardViews | None) -> str:
     """A table, a row per camera."""
-    head = ("camera", "views", "not found in", "off by", "focal length", "above the floor", "place ±")
+    seen = ("views", "not found in") if views else ("points",)
+    head = ("camera", *seen, "off by", "focal length", "above the floor", "place ±")
     rows = []
     for camera in found.rig:
         name = camera.name
@@ -43,8 +47,11 @@ def _cameras(found: Calibrated, views: BoardViews) -> str:
         rows.append(
             (
                 name,
-                found.n_views_of[name],
-                views.why_missed(name) or "-",
+                *(
+                    (found.n_views_of[name], views.why_missed(name) or "-")
+                    if views
+                    else (len(found.adjusted.bundle.sightings[WORLD, name].uv),)
+                ),
                 f"{found.rms_px_of[name]:.2f} px",
                 f"{focal:.0f} ± {focal * sd:.1f} px" if sd else f"{focal:.0f} px, given",
                 f"{camera.center[2]:.2f} m",
@@ -100,7 +107,7 @@ def coverage_figure(found: Calibrated) -> Figure:
     rows = -(-len(names) // columns)
     figure, axes = new_figure(rows, height=2.6, width=2.9 * columns, n_columns=columns)
     residuals = found.adjusted.bundle.residuals()
-    scale = _arrow_scale(list(residuals.values()))
+    scale = _arrow_scale(list(residuals.values()), max(camera.size[0] for camera in found.rig))
     for ax in axes[len(names) :]:
         ax.axis("off")
     for ax, camera in zip(axes, found.rig, strict=False):
@@ -109,6 +116,8 @@ def coverage_figure(found: Calibrated) -> Figure:
                 continue
             uv = found.adjusted.bundle.sightings[item, name].uv
             colour = LINE_COLOURS[1] if item == WORLD else LINE_COLOURS[0]
+            if item == WORLD:
+                ax.plot(*uv.T, ".", color=colour, ms=3)
             ax.quiver(
                 *uv.T, *residual.T, color=colour, angles="xy", scale_units="xy", scale=1 / scale, width=0.004
             )
@@ -126,7 +135,7 @@ def coverage_figure(found: Calibrated) -> Figure:
     )
 
 
-def _arrow_scale(residuals: Sequence[Array]) -> float:
-    """So that a usual arrow is as long as the eye can follow: some ten pixels."""
+def _arrow_scale(residuals: Sequence[Array], width_px: int) -> float:
+    """So that a usual arrow is as long as the eye can follow: a fortieth of a picture."""
     usual = float(np.median(np.linalg.norm(np.concatenate(residuals), axis=1)))
-    return max(1.0, round(10.0 / max(usual, 1e-3)))
+    return max(1.0, round(width_px / 40 / max(usual, 1e-3)))

@@ -1,9 +1,13 @@
-"""Lenses and places of all cameras from the views of a board, in the world of the floor or of known points."""
+"""Lenses and places of all cameras from the views of a board, in the world of the floor or of known points.
+
+Cameras of known lenses need no board where points of known place are in their pictures: `resect`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -34,7 +38,8 @@ class WorldPoints:
 class Calibrated:
     """rig : the cameras, m, z up.  adjusted : what was solved, and how certain it is.
 
-    rms_px_of, n_views_of, center_deviation_m, focal_deviation : by camera.  warnings : what to look at.
+    rms_px_of, n_views_of, center_deviation_m, focal_deviation : by camera.  warnings : what to look at.  A view is one
+    of a board, or the points of known place together.
     """
 
     rig: CameraRig
@@ -77,17 +82,76 @@ def calibrate(
         adjusted = _solved(sharp)
     adjusted = _above_floor(adjusted)
     doubts.check_solution(adjusted)
+    return _calibrated(adjusted, views.names, doubts.warnings)
+
+
+def resect(world: WorldPoints, lenses: Mapping[str, Lens]) -> Calibrated:
+    """Place the cameras of known lenses, each by the points of known place that it sees.
+
+    Raises MocapError for a camera with fewer than four points, or with points in one line, and where no place explains
+    them; a point that is far from all others is named.
+    """
+    for name in lenses:
+        n_points = len(world.sightings[name].uv) if name in world.sightings else 0
+        if n_points < _MIN_POINTS:
+            raise MocapError(
+                f"{n_points} points of known place are given, needed are {_MIN_POINTS} or more",
+                camera=name,
+                remedy="give more rows, camera,u_px,v_px,x_m,y_m,z_m, with the cameras' names as in the lenses",
+            )
+    placed = {name: _resected(name, lens, world.sightings[name]) for name, lens in lenses.items()}
+    for name, one in placed.items():
+        doubts.check_points(name, one, partial(_resected, name, lenses[name]))
+    adjusted = adjust(
+        Bundle(
+            dict(lenses),
+            {name: one.bundle.places[name] for name, one in placed.items()},
+            {},
+            {(WORLD, name): world.sightings[name] for name in lenses},
+            "radial",
+            keeps_lenses=True,
+        )
+    )
+    return _calibrated(adjusted, list(lenses), doubts.warnings_of_points)
+
+
+def _resected(name: str, lens: Lens, sighting: Sighting) -> Adjusted:
+    """One camera placed by points of known place."""
+    place = _pose(_place_by_points(name, sighting, lens))
+    bundle = Bundle({name: lens}, {name: place}, {}, {(WORLD, name): sighting}, "radial", keeps_lenses=True)
+    try:
+        return adjust(bundle)
+    except np.linalg.LinAlgError as error:
+        raise _undetermined_by_points(name) from error
+
+
+def _place_by_points(name: str, sighting: Sighting, lens: Lens) -> Array:
+    """Pose (4, 4) of the world in the frame of a camera."""
+    try:
+        return board_pose(sighting, lens)
+    except cv2.error as error:
+        raise _undetermined_by_points(name) from error
+
+
+def _undetermined_by_points(name: str) -> MocapError:
+    return MocapError(
+        "the points of known place do not determine the camera",
+        camera=name,
+        remedy="give points that lie not in one line, spread over the picture and at several heights",
+    )
+
+
+def _calibrated(
+    adjusted: Adjusted,
+    names: Sequence[str],
+    warnings: Callable[[CameraRig, Adjusted, dict[str, float]], list[str]],
+) -> Calibrated:
     residuals = adjusted.bundle.residuals()
-    rms_of = {name: _rms([r for (_, by), r in residuals.items() if by == name]) for name in views.names}
-    counts = {name: sum(by == name for _, by in residuals) for name in views.names}
-    rig = CameraRig(tuple(adjusted.bundle.camera(name) for name in views.names))
+    rms_of = {name: _rms([r for (_, by), r in residuals.items() if by == name]) for name in names}
+    counts = {name: sum(by == name for _, by in residuals) for name in names}
+    rig = CameraRig(tuple(adjusted.bundle.camera(name) for name in names))
     return Calibrated(
-        rig,
-        adjusted,
-        _rms(list(residuals.values())),
-        rms_of,
-        counts,
-        tuple(doubts.warnings(rig, adjusted, rms_of)),
+        rig, adjusted, _rms(list(residuals.values())), rms_of, counts, tuple(warnings(rig, adjusted, rms_of))
     )
 
 
@@ -167,7 +231,7 @@ def _world_in_rig(
             remedy="give more rows, camera,u_px,v_px,x_m,y_m,z_m, with the cameras' names as in the clips",
         )
     name = max(usable, key=lambda n: float(np.ptp(usable[n].uv, axis=0).min()))
-    return relative[name] @ board_pose(usable[name], lenses[name])
+    return relative[name] @ _place_by_points(name, usable[name], lenses[name])
 
 
 def _pose(T: Array) -> Pose:

@@ -82,7 +82,10 @@ def calibrate(
     ] = None,
     points: Annotated[
         Path | None,
-        typer.Option("--points", help="Instead: CSV of known places, camera,u_px,v_px,x_m,y_m,z_m."),
+        typer.Option(
+            "--points",
+            help="Instead: CSV of known places, camera,u_px,v_px,x_m,y_m,z_m. With --lenses no board is needed.",
+        ),
     ] = None,
     lenses: Annotated[
         Path | None,
@@ -152,8 +155,9 @@ def calibrate(
     --refine SESSION corrects the places of a calibration that is off by some degrees and centimetres, from people who
     walk in the session's clips, and writes a new file. With --moved CAM --from-frame N it finds one camera again that
     was pushed in mid-take, and session.toml says from which frame on the new file holds. --place SESSION finds the
-    places from nothing, by one person who walks; lenses must be known. --register SESSION --camera CAM finds one depth
-    camera by the room that others measure too.
+    places from nothing, by one person who walks; lenses must be known. --points FILE --lenses LENSES without a board
+    places cameras by points of known place: corners of a court, marks on the floor. --register SESSION --camera CAM
+    finds one depth camera by the room that others measure too.
     """
     of_board: dict[str, object] = {"BOARD": clips, "--floor-frame": floor_frame, "--points": points}
     of_lenses: dict[str, object] = {"--board": board, "--square-mm": square_mm, "--lenses": lenses}
@@ -193,13 +197,24 @@ def calibrate(
     if place is not None:
         _check_options(
             of_board | of_move | {"--calibration": calibration, "--picture": picture},
-            ("--height-m", *(("--board", "--square-mm") if lenses is not None and lenses.is_dir() else ())),
+            ("--height-m", *_needed_of_lenses(lenses)[1:]),
             "--place",
             "leave it out",
             of_session | of_lenses,
         )
         assert height_m is not None  # the check above has seen to it
         _place(place, out, height_m, lenses, board, square_mm, lens, frames)
+        return
+    if clips is None and points is not None:
+        _check_options(
+            of_session | of_move | {"--floor-frame": floor_frame},
+            _needed_of_lenses(lenses),
+            "points of known place",
+            "leave it out",
+            of_lenses,
+        )
+        assert lenses is not None  # the check above has seen to it
+        _from_points(points, out, lenses, board, square_mm, lens, frames or 60)
         return
     _check_options(
         of_session | of_move,
@@ -212,6 +227,11 @@ def calibrate(
     assert board is not None
     assert square_mm is not None
     _from_board(clips, out, board, square_mm, _world(floor_frame, points), lenses, lens, frames or 60)
+
+
+def _needed_of_lenses(lenses: Path | None) -> tuple[str, ...]:
+    """Options that lenses need which are kept: of clips of a board, what board."""
+    return ("--lenses", *(("--board", "--square-mm") if lenses is not None and lenses.is_dir() else ()))
 
 
 def _check_options(
@@ -228,7 +248,8 @@ def _check_options(
         raise MocapError(
             f"{', '.join(missing)} must be given",
             remedy="mocap calibrate CLIPS --board charuco:8x6 --square-mm 46 --floor-frame 12, or without a board "
-            "mocap calibrate --refine SESSION, --place SESSION --height-m 1.8 or --register SESSION --camera CAM",
+            "mocap calibrate --points FILE --lenses LENSES, --refine SESSION, --place SESSION --height-m 1.8 or "
+            "--register SESSION --camera CAM",
         )
 
 
@@ -439,14 +460,44 @@ def _from_board(
     typer.echo(f"How certain the room is: {page}")
 
 
+def _from_points(
+    points: Path, out: Path, lenses: Path, board: str | None, square_mm: float | None, lens: str, frames: int
+) -> None:
+    """Cameras of known lenses placed by points of known place."""
+    from mocap.calibrate import board_from_text, resect
+    from mocap.calibrate.lens import MODELS
+    from mocap.calibrate.page import write_page
+    from mocap.calibrate.uncertainty import uncertainty_map
+    from mocap.io.calibration import write_calibration
+
+    check_choice("--lens", lens, MODELS)
+    model: LensModel = lens  # type: ignore[assignment]
+    world = _world_points(points)
+    target = board_from_text(board, square_mm) if board is not None and square_mm is not None else None
+    found = resect(world, _lenses(lenses, target, list(world.sightings), model, frames))
+    write_calibration(
+        out,
+        found.rig,
+        metadata={"source": "mocap calibrate", "points": points.name, "rms_px": round(found.rms_px, 4)},
+    )
+    page = out.with_suffix(".html")
+    write_page(page, found, None, uncertainty_map(found.adjusted))
+    for camera in found.rig:
+        name = camera.name
+        typer.echo(
+            f"{name}: {len(world.sightings[name].uv)} points, off by {found.rms_px_of[name]:.2f} px, "
+            f"{camera.center[2]:.2f} m above the floor, place ± {1000 * found.center_deviation_m[name]:.1f} mm"
+        )
+    for warning in found.warnings:
+        typer.echo(f"  warning: {warning}")
+    typer.echo(f"Points are off by {found.rms_px:.2f} px (root mean square); written to {out}")
+    typer.echo(f"How certain the room is: {page}")
+
+
 def _world(floor_frame: int | None, points: Path | None) -> int | WorldPoints:
     """What the world is taken from: exactly one of the two."""
-    from mocap.calibrate import WorldPoints
-    from mocap.calibrate.detect import Sighting
-    from mocap.io.tables import read_world_points_csv
-
     if points is not None and floor_frame is None:
-        return WorldPoints({name: Sighting(*both) for name, both in read_world_points_csv(points).items()})
+        return _world_points(points)
     if floor_frame is not None and points is None:
         return floor_frame
     raise MocapError(
@@ -455,7 +506,18 @@ def _world(floor_frame: int | None, points: Path | None) -> int | WorldPoints:
     )
 
 
-def _lenses(path: Path, board: Board, names: list[str], model: LensModel, n_frames: int) -> dict[str, Lens]:
+def _world_points(path: Path) -> WorldPoints:
+    """Points of known place of a CSV."""
+    from mocap.calibrate import WorldPoints
+    from mocap.calibrate.detect import Sighting
+    from mocap.io.tables import read_world_points_csv
+
+    return WorldPoints({name: Sighting(*both) for name, both in read_world_points_csv(path).items()})
+
+
+def _lenses(
+    path: Path, board: Board | None, names: list[str], model: LensModel, n_frames: int
+) -> dict[str, Lens]:
     """Camera -> lens, out of a calibration or from clips of the board that need not be synchronised."""
     from mocap.calibrate import Lens, find_board_views, find_clips
     from mocap.calibrate.solve import lens_of_clip
@@ -475,6 +537,7 @@ def _lenses(path: Path, board: Board, names: list[str], model: LensModel, n_fram
         )
     if not path.is_dir():
         return {name: Lens.of(rig[name]) for name in names}
+    assert board is not None  # a folder of clips needs one, which the command has seen to
     return {
         name: lens_of_clip(find_board_views({name: clips[name]}, board, n_frames=n_frames), name, model)
         for name in names
