@@ -432,12 +432,23 @@ class OnePose:
         self._legs_wait = numbers.turn_frames if is_clear else 1
         return now
 
+    @property
+    def _is_hard_to_follow(self) -> bool:
+        """Whether the pose before says too little of this one, or too few cameras tell whether it went on rightly."""
+        numbers = self.settings.method.follow
+        return self._came_from is not None and (
+            1.0 / self.tools.fps >= numbers.apart_s or self._evidence.n_cameras <= numbers.few_cameras
+        )
+
     def restart(self, searched: Candidates, rng: np.random.Generator) -> Candidates:
-        """A pose found anew where the body is lost, faces against its way, or has come back after a while."""
+        """A pose found anew where the body is lost or hard to follow, faces against its way, or has come back after a
+        while."""
         (now,) = searched
         is_backwards = self._faces_backwards(now.state)
         if self.settings.look_again and (
-            self._has_returned or self._loss.is_due(self._row, now.value, is_backwards=is_backwards)
+            self._has_returned
+            or self._is_hard_to_follow
+            or self._loss.is_due(self._row, now.value, is_backwards=is_backwards)
         ):
             now = self._restarted(now, rng)
             self._rival = self._rival if now is searched[0] else None

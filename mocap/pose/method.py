@@ -165,6 +165,11 @@ class FollowSettings(_Strict):
     """What a landmark may be off at once where nothing is seen; it grows with every frame by the filter's noise."""
     gone_s: float = 0.4
     """Without a volume for so long, a pose is looked for anew when the person comes back."""
+    apart_s: float = 0.08
+    """Frames so far apart, or further: limbs go further in between than a search from the pose before may follow, and
+    a pose is looked for anew in every frame (decision 106)."""
+    few_cameras: int = 2
+    """While no more show the person, a pose is looked for anew in every frame, too (decision 106)."""
     max_limbs: int = 2
     """Limbs searched for in one frame, those that promise most."""
     many_cameras: int = 5

@@ -173,6 +173,7 @@ class Seen:
     """A frame that likes somebody who walks backwards better, by so many nats."""
 
     search = None
+    n_cameras = 7
 
     def __init__(self, tools: PersonTools, gain: float) -> None:
         self.tools, self.gain = tools, gain

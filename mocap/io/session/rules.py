@@ -18,6 +18,7 @@ from mocap.errors import MocapError, did_you_mean
 from mocap.io.calibration import CalibrationFile, find_calibration, read_calibration
 from mocap.io.session import check, check_depth
 from mocap.io.session.frames import (
+    SLOWEST_FPS,
     check_clip_size,
     check_durations,
     choose_fps,
@@ -196,6 +197,11 @@ def _padding(camera: str, stated: Size, found: Size) -> str:
 def _frame_rate(o: Opening) -> list[Finding]:
     """One frame rate holds for the session."""
     o.fps, warnings = choose_fps(o.settings.fps, o.clips)
+    if o.fps < SLOWEST_FPS and any(clip.n_frames > 1 for clip in o.clips.values()):
+        warnings.append(
+            f"pictures are {1 / o.fps:.2g} s apart: who walks cannot be followed from one to the next. Remedy: film "
+            "ten a second or more, or run instants by themselves (--frames 3:4)"
+        )
     return [Finding("warning", text) for text in warnings]
 
 
