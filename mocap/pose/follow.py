@@ -330,8 +330,10 @@ class OnePose:
         self._last_row = row
         self._previous = None if self._blind_std > 0 or n_away > 0 else self._estimate
         self._came_from = None if last is None else self._previous
-        gone_frames = max(2, round(self.settings.method.follow.gone_s * self.tools.fps))
-        self._has_returned = self._n_blind + n_away >= gone_frames
+        numbers = self.settings.method.follow
+        gone_frames = max(2, round(numbers.gone_s * self.tools.fps))
+        is_long_ago = last is not None and self._is_apart and 1.0 / self.tools.fps >= numbers.gone_s
+        self._has_returned = is_long_ago or self._n_blind + n_away >= gone_frames
         self._blind_std, self._n_blind = 0.0, 0
         if self._previous is None:
             return []
@@ -433,12 +435,15 @@ class OnePose:
         return now
 
     @property
+    def _is_apart(self) -> bool:
+        """Whether frames are so far apart that the pose before says too little of this one."""
+        return 1.0 / self.tools.fps >= self.settings.method.follow.apart_s
+
+    @property
     def _is_hard_to_follow(self) -> bool:
-        """Whether the pose before says too little of this one, or too few cameras tell whether it went on rightly."""
-        numbers = self.settings.method.follow
-        return self._came_from is not None and (
-            1.0 / self.tools.fps >= numbers.apart_s or self._evidence.n_cameras <= numbers.few_cameras
-        )
+        """Whether frames are far apart, or too few cameras tell whether the pose before went on rightly."""
+        few_cameras = self.settings.method.follow.few_cameras
+        return self._came_from is not None and (self._is_apart or self._evidence.n_cameras <= few_cameras)
 
     def restart(self, searched: Candidates, rng: np.random.Generator) -> Candidates:
         """A pose found anew where the body is lost or hard to follow, faces against its way, or has come back after a

@@ -164,7 +164,8 @@ class FollowSettings(_Strict):
     blind_std_m: float = 0.02
     """What a landmark may be off at once where nothing is seen; it grows with every frame by the filter's noise."""
     gone_s: float = 0.4
-    """Without a volume for so long, a pose is looked for anew when the person comes back."""
+    """Without a volume for so long, a pose is looked for anew when the person comes back; so it is in frames so far
+    apart."""
     apart_s: float = 0.08
     """Frames so far apart, or further: limbs go further in between than a search from the pose before may follow, and
     a pose is looked for anew in every frame (decision 106)."""

@@ -38,6 +38,7 @@ _UNLIKE = 0.4  # Bhattacharyya coefficient under which a blob is somebody else
 _COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
 _LEAST_OF_TWO_KG = 40.0  # two children; what is lighter is not looked at
 _PULL_M = 0.4  # how far colours may move the place of a person in a blob of several
+_WALK_M_S = 2.0  # who walks goes no further between two pictures, however far apart they are
 # A person who sinks to the floor, from one frame to the next:
 _LOW_SHARE = 0.6  # of the weight that has to remain
 _DROP_M, _DROP_M_S = 0.4, 6.0  # nobody falls deeper at once, or faster; cut-off heads are no falls
@@ -427,7 +428,7 @@ def _reach(frame: Frame, track: Track, k: int, look: Histogram | None) -> float:
         return -1.0
     if alike is not None and alike >= settings.reid_likeness and track.status == COASTING:
         return settings.reacquire_distance_m + 1.5 * track.misses / settings.fps
-    return settings.reacquire_distance_m
+    return max(settings.reacquire_distance_m, _WALK_M_S / settings.fps)
 
 
 def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> list[Claim]:

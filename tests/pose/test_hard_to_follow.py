@@ -1,5 +1,6 @@
 """Where the pose before says little of this one, or few cameras see the person, a pose is looked for in every frame."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -61,6 +62,24 @@ def test_somebody_unseen_for_a_frame_is_followed_as_before(coarse_flesh: Flesh) 
     policy.lose_sight(1)
     policy.carry(2, SimpleNamespace(n_cameras=7))  # type: ignore[arg-type]
     assert not policy._is_hard_to_follow
+
+
+@pytest.mark.parametrize(
+    ("fps", "preset", "is_gone"), [(2.6, "default", False), (2.5, "default", True), (1.0, "live", False)]
+)
+def test_between_pictures_a_while_apart_everybody_may_have_turned(
+    coarse_flesh: Flesh, fps: float, preset: str, is_gone: bool
+) -> None:
+    """Then a pose is looked for as if he had been away; not in the first frame, where it has been."""
+    state = neutral_state(coarse_flesh.body)
+    policy = policy_of(coarse_flesh, state, fps)
+    policy.settings = replace(policy.settings, method=load_config(preset).method)
+    policy.tools = replace(policy.tools, settings=policy.settings)
+    gone = []
+    for row in range(3):
+        policy.carry(row, SimpleNamespace(n_cameras=7))  # type: ignore[arg-type]
+        gone.append(policy._has_returned)
+    assert gone == [False, is_gone, is_gone]
 
 
 def test_live_cameras_are_not_kept_waiting() -> None:

@@ -80,6 +80,19 @@ def test_hug_is_divided_by_colour_where_the_persons_stand():
     assert x[3 - red] == pytest.approx(0.15, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("fps", "step_m", "is_same"), [(1.0, 1.8, True), (1.0, 2.2, False), (20.0, 1.8, False), (20.0, 0.9, True)]
+)
+def test_who_walks_between_slow_pictures_is_the_same(fps: float, step_m: float, is_same: bool):
+    """Further than anybody walks from one picture to the next there is somebody else."""
+    s = settings(fps=fps, confirm_frames=1)
+    infos, _ = run([*[person(-1.0, 0, RED)] * 2, person(step_m - 1.0, 0, RED)], s)
+    there = [t for t in infos[-1].tracks if t.is_seen]
+    assert len(there) == 1
+    assert there[0].xyz[0] == pytest.approx(step_m - 1.0, abs=0.1)
+    assert (there[0].serial == infos[0].tracks[0].serial) == is_same
+
+
 ABSENCE = [[]] * 30
 ENTRY = [person(x, 0, RED) for x in np.linspace(-2.4, -0.6, 20)]
 EXIT = [person(x, 0, RED) for x in np.linspace(-0.6, -2.4, 20)]

@@ -17,8 +17,8 @@ from mocap.io.tables import read_detections_csv
 from mocap.io.video import ClipInfo, Size, size_error
 
 DEFAULT_FPS = 30.0
-# Who walks goes too far between slower pictures to be the same for the tracker (python -m eval.frame_rate).
-SLOWEST_FPS = 2.0
+# Between slower pictures people who walk have changed places (python -m eval.frame_rate).
+SLOWEST_FPS = 1.0
 # Headers of sound videos promise a few frames more than can be decoded; more than that means a damaged file.
 MAX_HEADER_DIFFERENCE = 5
 MAX_HEADER_DIFFERENCE_SHARE = 0.01

@@ -199,8 +199,8 @@ def _frame_rate(o: Opening) -> list[Finding]:
     o.fps, warnings = choose_fps(o.settings.fps, o.clips)
     if o.fps < SLOWEST_FPS and any(clip.n_frames > 1 for clip in o.clips.values()):
         warnings.append(
-            f"pictures are {1 / o.fps:.2g} s apart: who walks cannot be followed from one to the next. Remedy: film "
-            "ten a second or more, or run instants by themselves (--frames 3:4)"
+            f"pictures are {1 / o.fps:.2g} s apart: of several people it is not sure who is who from one to the next. "
+            "Remedy: film ten a second or more, or run instants by themselves (--frames 3:4)"
         )
     return [Finding("warning", text) for text in warnings]
 
