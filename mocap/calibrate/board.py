@@ -39,8 +39,8 @@ class Print:
     begins_white: bool = False
 
     def __str__(self) -> str:
-        less = f"markers {self.family}, {self.marker_share:.2f} of a square"
-        return less + ", negative" * self.is_negative + ", begins white" * self.begins_white
+        words = f"markers {self.family}, {self.marker_share:.2f} of a square"
+        return words + ", negative" * self.is_negative + ", begins white" * self.begins_white
 
 
 @dataclass(frozen=True)

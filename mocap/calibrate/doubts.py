@@ -136,17 +136,14 @@ def check_points(name: str, placed: Adjusted, without: Callable[[Sighting], Adju
     sighting = placed.bundle.sightings[WORLD, name]
     n = len(sighting.uv)
     if rms_px > _WARN_RMS_PX and n > _FEWEST_TO_LEAVE_OUT:
-        left = [
-            without(Sighting(np.delete(sighting.points, k, 0), np.delete(sighting.uv, k, 0)))
-            for k in range(n)
-        ]
-        odd = int(np.argmin([_rms_px(one) for one in left]))
-        if _rms_px(left[odd]) < min(_ODD_POINT * rms_px, _MAX_RMS_PX):
+        left_px = [_rms_px_without(sighting, k, without) for k in range(n)]
+        odd = int(np.argmin(left_px))
+        if left_px[odd] < min(_ODD_POINT * rms_px, _MAX_RMS_PX):
             place = ", ".join(f"{x:g}" for x in sighting.points[odd])
             u, v = sighting.uv[odd]
             raise MocapError(
                 f"the point at ({place}) m, pixel ({u:g}, {v:g}), does not go with the other {n - 1}: they are off by "
-                f"{_rms_px(left[odd]):.1f} px without it, {rms_px:.1f} px with it",
+                f"{left_px[odd]:.1f} px without it, {rms_px:.1f} px with it",
                 camera=name,
                 remedy="look whether its place and its pixel belong together, or leave it out",
             )
@@ -184,3 +181,12 @@ def warnings_of_points(rig: CameraRig, adjusted: Adjusted, rms_px_of: Mapping[st
 
 def _rms_px(placed: Adjusted) -> float:
     return float(np.sqrt(np.mean([(r**2).sum(axis=1).mean() for r in placed.bundle.residuals().values()])))
+
+
+def _rms_px_without(sighting: Sighting, k: int, without: Callable[[Sighting], Adjusted]) -> float:
+    """What is left of all points but the k-th; infinite where the others, in one line perhaps, place no camera."""
+    others = Sighting(np.delete(sighting.points, k, 0), np.delete(sighting.uv, k, 0))
+    try:
+        return _rms_px(without(others))
+    except MocapError:
+        return np.inf

@@ -11,6 +11,7 @@ from small_session import mocap
 from eval.board_calibration import looking_rig
 from mocap.calibrate import Lens, WorldPoints, resect
 from mocap.calibrate.detect import Sighting
+from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.io.calibration import read_calibration, write_calibration
 
@@ -90,6 +91,25 @@ def test_a_point_that_belongs_elsewhere_is_named() -> None:
     assert caught.value.camera == "right"
     uv[4] = given["right"].uv[4] + [1.5, 0.0]  # a hand that shakes
     resect(WorldPoints({**given, "right": Sighting(POINTS, uv)}), LENSES)
+
+
+def test_a_point_without_which_the_others_are_in_one_line_is_kept() -> None:
+    line = np.vstack([np.linspace(POINTS[0], POINTS[1], 5), POINTS[4:5]])
+    given = seen(line, noise_px=1.5)
+    assert resect(WorldPoints(given), LENSES).rms_px > 1.0
+
+
+def test_fisheye_lenses_are_kept_as_they_are() -> None:
+    rig = CameraRig(
+        tuple(
+            Camera(c.name, c.size, c.K, np.array([0.05, -0.01, 0.002, 0.0]), c.R, c.t, is_fisheye=True)
+            for c in RIG
+        )
+    )
+    given = {camera.name: Sighting(POINTS, camera.project(POINTS)[0]) for camera in rig}
+    found = resect(WorldPoints(given), {camera.name: Lens.of(camera) for camera in rig})
+    for camera in rig:
+        assert np.linalg.norm(found.rig[camera.name].center - camera.center) < 1e-4
 
 
 def test_points_that_no_place_explains_are_refused() -> None:
