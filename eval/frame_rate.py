@@ -78,7 +78,7 @@ def row_of(session: Path, stride: int, seed: int, work: Path) -> Row:
 
 def main() -> None:
     parser = session_parser(__doc__, "out/frame_rate")
-    parser.add_argument("--seeds", type=int, default=3, help="runs of every thinned session")
+    parser.add_argument("--seeds", type=int, default=1, help="runs of every thinned session")
     options: argparse.Namespace = parser.parse_args()
     rows: list[Row] = []
     for name in names_of(options, DEVELOPMENT, TEST):

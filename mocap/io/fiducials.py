@@ -77,8 +77,8 @@ def fiducials_in(grey: Grey, n_markers: int = 250) -> Fiducials | None:
             found, first, times = np.unique(
                 np.ravel(numbers)[of_family], return_index=True, return_counts=True
             )
-            if (times == 1).sum() >= LEAST_MARKERS:
-                once = times == 1
+            once = times == 1
+            if once.sum() >= LEAST_MARKERS:
                 return Fiducials(
                     tuple(FAMILIES)[row],
                     is_negative,

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from printed_board import CORNER_TOLERANCE_PX, MARGIN_M, PX_PER_M, frontal
 
 from mocap.calibrate.board import Board, board_from_text
 from mocap.calibrate.detect import Sighting, find_corners
@@ -19,13 +20,6 @@ from mocap.calibrate.printed import PAPERS, largest_side_mm, write_board
 from mocap.errors import MocapError
 
 BOARDS = (Board("checkerboard", 7, 5, 0.04), Board("charuco", 6, 5, 0.04), Board("aprilgrid", 4, 3, 0.04))
-# Of a frontal picture without noise.
-CORNER_TOLERANCE_PX = 0.25
-PX_PER_M, MARGIN_M = 1500.0, 0.04
-
-
-def frontal(board: Board) -> np.ndarray:
-    return cv2.GaussianBlur(board.image(PX_PER_M, MARGIN_M), (0, 0), 0.8)
 
 
 @pytest.mark.parametrize("board", BOARDS, ids=str)

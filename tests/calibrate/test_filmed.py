@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from printed_board import CORNER_TOLERANCE_PX, MARGIN_M, PX_PER_M, frontal
 
 from mocap.calibrate import find_board_views
 from mocap.calibrate.board import Board, Print
@@ -31,12 +32,6 @@ PRINTS = (
 )
 # Half a pixel at the corners of markers of thirty.
 SHARE_TOLERANCE = 0.025
-CORNER_TOLERANCE_PX = 0.25
-PX_PER_M, MARGIN_M = 1500.0, 0.04
-
-
-def frontal(board: Board) -> np.ndarray:
-    return cv2.GaussianBlur(board.image(PX_PER_M, MARGIN_M), (0, 0), 0.8)
 
 
 @pytest.mark.parametrize("printed", PRINTS, ids=str)
