@@ -90,6 +90,20 @@ class VoxelGrid:
         out[inside] = self.linear(np.floor(p[inside]).astype(np.int64))
         return out
 
+    def is_below_ceiling(self, points_world: Array) -> NDArray[np.bool_]:
+        """Whether points (M, 3) m lie between the walls and below the ceiling of the grid, or under its floor, (M,)."""
+        above = np.array(points_world)
+        above[:, 2] = np.maximum(above[:, 2], self.origin[2])
+        return self.voxels_of(above) >= 0
+
+    def at_walls(self, voxels: Voxels) -> NDArray[np.bool_]:
+        """Which of the voxels (N,) are the last before a side of the grid: lower x, upper x, lower y, upper y and the
+        top, (N, 5); the floor is none.
+        """
+        x, y, z = self.subscripts(voxels).T
+        nx, ny, nz = self.shape
+        return np.column_stack([x == 0, x == nx - 1, y == 0, y == ny - 1, z == nz - 1])
+
     def dense(self, voxels: Voxels) -> NDArray[np.bool_]:
         """The same set as a dense (nx, ny, nz) bool array."""
         volume = np.zeros(self.n_voxels, dtype=np.bool_)

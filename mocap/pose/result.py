@@ -141,9 +141,9 @@ def warnings_of_volumes(
             name for name, own in zip(landmark_names(hidden.shape[1]), hidden.T, strict=True) if own.any()
         ]
         warnings.append(
-            f"person {person}: {', '.join(names)} are hidden from all cameras or all but one, outside their pictures, "
-            f"or lost from masks so that the volume hangs in the air, in frames {_told(frames[hidden.any(axis=1)])}: "
-            "they are marked as not observed, and deviations grow with the time"
+            f"person {person}: {', '.join(names)} are hidden from all cameras or all but one, outside their pictures "
+            "or the room, or lost from masks so that the volume hangs in the air, in frames "
+            f"{_told(frames[hidden.any(axis=1)])}: they are marked as not observed, and deviations grow with the time"
         )
     seldom = _seldom_observed(series.observed, series.log_likelihood)
     if seldom:

@@ -61,6 +61,7 @@ from mocap.volume.surface import (
     OCCUPIED_BIT,
     SURFACE_LEVELS,
     bounds_within,
+    fill_beyond,
     mark_unknown,
     subscripts_and_bounds,
 )
@@ -112,6 +113,7 @@ def pack_volume(
     """The crop that the likelihood reads, with room for particles around the hull and for hidden limbs in the unknown.
 
     An unknown voxel may be flesh or air, surface or none: a body part may lie there as in a hull, and is not drawn in.
+    Of who reaches through the walls or the ceiling of the grid the rest is unknown.
     """
     margin = int(np.ceil(margin_m / grid.voxel_size_m))
     _, first, last = subscripts_and_bounds(hull.voxels, grid)
@@ -121,9 +123,14 @@ def pack_volume(
     near = bounds_within(unknown, first - reach, last - 1 + reach)
     if near is not None:
         lower, upper = np.minimum(lower, near[0] - 1), np.maximum(upper, near[1] + 1)
+    beyond = reach * np.stack([first == 0, last == np.array(grid.shape)])
+    beyond[0, 2] = 0  # under the floor there is nothing
+    lower, upper = lower - beyond[0], upper + beyond[1]
     crop = surface_map(hull.voxels, hull.is_surface, grid, lower, upper, surface_sigma_voxels)
     mark_unknown(crop, lower, unknown, OCCUPIED_BIT | _HALF_SURFACE)
-    return PackedVolume(crop, lower, grid)
+    if beyond.any():
+        fill_beyond(crop[1:-1, 1:-1, 1:-1], lower + 1, grid, OCCUPIED_BIT | _HALF_SURFACE)
+    return PackedVolume(crop, lower, grid, beyond)
 
 
 @dataclass(frozen=True, eq=False)
@@ -505,12 +512,13 @@ class VolumeEvidence:
         return np.where(n > 0, found / np.maximum(n, 1), 1.0)
 
     def _judged(self, state: Array) -> NDArray[np.bool_]:
-        """Whether enough cameras can judge each landmark of a state (D,), (M,)."""
+        """Whether enough cameras can judge each landmark of a state (D,), (M,): none where nothing is carved."""
         landmarks = landmarks_of(self.tools.body, state[None])[0]
+        is_carved = self.tools.grid.is_below_ceiling(landmarks)
         n_judges = self.hull.hull.n_judges
         if n_judges is None:
-            return np.ones(len(landmarks), dtype=np.bool_)
-        return n_judges(landmarks) >= self.tools.settings.method.evidence.min_judges
+            return is_carved
+        return is_carved & (n_judges(landmarks) >= self.tools.settings.method.evidence.min_judges)
 
     def _unseen_std(self, state: Array) -> Array:
         """What landmarks of legs that nothing shows may be off, (M,) m: their distance from the hip times an angle."""

@@ -34,11 +34,14 @@ def subscripts_and_bounds(
     return subs, lower, upper
 
 
-def surface_voxels(voxels: Voxels, grid: VoxelGrid, unknown: Voxels | None = None) -> NDArray[np.bool_]:
-    """Whether each occupied voxel has an empty 6-neighbour; outside the grid is empty.
+def surface_voxels(
+    voxels: Voxels, grid: VoxelGrid, unknown: Voxels | None = None, *, beyond_is_empty: bool = True
+) -> NDArray[np.bool_]:
+    """Whether each occupied voxel has an empty 6-neighbour; below the grid it is empty.
 
     voxels : (N,) int32 ascending.  unknown : (U,) the same, voxels that may be occupied: where the next one is unknown
-    nobody has seen a surface. Returns (N,) bool; N = 0 gives an empty array.
+    nobody has seen a surface.  beyond_is_empty : whether beside and above the grid it is empty too, or unknown.
+    Returns (N,) bool; N = 0 gives an empty array.
     """
     v = check_voxels(voxels, grid)
     is_surface = np.zeros(len(v), dtype=np.bool_)
@@ -48,6 +51,8 @@ def surface_voxels(voxels: Voxels, grid: VoxelGrid, unknown: Voxels | None = Non
         _kernels.fill_crop(subs, lower - 1, crop)
         if unknown is not None:
             _kernels.fill_crop(subscripts_and_bounds(unknown, grid)[0], lower - 1, crop)
+        if not beyond_is_empty:
+            fill_beyond(crop, lower - 1, grid, 1)
         _kernels.surface_of_crop(subs, lower - 1, crop, is_surface)
     return is_surface
 
@@ -120,3 +125,15 @@ def bounds_within(
     where none does."""
     n, lower, upper = _kernels.bounds_within(subs, low, high)
     return (lower, upper) if n else None
+
+
+def fill_beyond(crop: NDArray[np.uint8], lower_sub: NDArray[np.int64], grid: VoxelGrid, value: int) -> None:
+    """Set the bits of a value in what of a crop lies beside or above the grid, and not under its floor."""
+    before = np.maximum(-lower_sub, 0)
+    after = np.array(grid.shape) - lower_sub
+    over_floor = crop[:, :, before[2] :]
+    over_floor[: before[0]] |= np.uint8(value)
+    over_floor[after[0] :] |= np.uint8(value)
+    over_floor[:, : before[1]] |= np.uint8(value)
+    over_floor[:, after[1] :] |= np.uint8(value)
+    crop[:, :, after[2] :] |= np.uint8(value)

@@ -12,7 +12,7 @@ from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.stage import Job
-from mocap.pipeline.stages.track import TRACK
+from mocap.pipeline.stages.track import TRACK, track_report
 from mocap.pipeline.tracking import every_frame, tracker_settings
 from mocap.pipeline.walk import run_stage
 from mocap.products.tracks import stored_tracks, track_row
@@ -173,3 +173,22 @@ def test_frames_of_an_absence_are_held_and_not_cut_out():
     assert len(whole) == 5
     np.testing.assert_array_equal(every_frame(frames[:2], values[:2]), values[:2])
     assert every_frame(frames[:0], values[:0]).shape == (0, 2)
+
+
+def test_who_reaches_through_a_wall_of_the_room_is_named(stage):
+    """He goes from the middle to the wall at x = 1.5 and stays there for six of eleven frames."""
+    clip = [[(x, 0.0, RED)] for x in (*np.linspace(0.9, 1.3, 5), *[1.4] * 6)]
+    _, _, store = stage(clip)
+    session = SimpleNamespace(frames=range(len(clip)), fps=FPS)
+    (warning,) = track_report(Job(session, load_config(), store, "k")).warnings
+    assert warning.startswith(
+        "person 1: the volume ends at the border of the room (x = 1.50 m in 6 of 11 frames): what is beyond it is cut"
+    )
+    assert "Remedy: a larger room, room_bounds_m in session.toml" in warning
+
+
+def test_who_comes_in_through_a_wall_is_not(stage):
+    clip = [[(x, 0.0, RED)] for x in (1.4, 1.4, *np.linspace(1.3, 0.3, 11))]
+    _, _, store = stage(clip)
+    session = SimpleNamespace(frames=range(len(clip)), fps=FPS)
+    assert track_report(Job(session, load_config(), store, "k")).warnings == ()

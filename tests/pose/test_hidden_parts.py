@@ -20,7 +20,7 @@ from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pipeline.stages.pose import PersonViews
 from mocap.pose.deviation import FrameSeries, landmark_covariances
-from mocap.pose.method import DeviationSettings
+from mocap.pose.method import DeviationSettings, EvidenceSettings
 from mocap.pose.result import warnings_of_volumes
 from mocap.pose.volume import PersonHull, VolumeEvidence, pack_volume
 from mocap.volume import no_occluders, surface_voxels
@@ -193,6 +193,57 @@ def test_no_surface_where_the_unknown_begins() -> None:
     assert surface_voxels(voxels, grid)[np.searchsorted(voxels, top_middle)]
 
 
+def cut_at(upper_m: tuple[float, float, float]) -> tuple[PersonHull, VoxelGrid]:
+    """The body's voxels in a room with another upper corner, m, and that room."""
+    whole = FLESH.hull(state(), margin_m=VOXEL_M)
+    n = np.floor((np.array(upper_m) - FLESH.grid.origin) / VOXEL_M).astype(int)
+    room = VoxelGrid(FLESH.grid.origin, tuple(np.minimum(n, FLESH.grid.shape).tolist()), VOXEL_M)
+    subs = FLESH.grid.subscripts(whole.voxels)
+    voxels = np.sort(room.linear(subs[(subs < np.array(room.shape)).all(axis=1)]))
+    return PersonHull(voxels, surface_voxels(voxels, room, beyond_is_empty=False)), room
+
+
+@pytest.mark.parametrize("upper_m", [(9.0, 9.0, 1.2), (9.0, 0.05, 9.0)], ids=["ceiling", "wall"])
+def test_who_reaches_out_of_the_room_goes_on_beyond(upper_m: tuple[float, float, float]) -> None:
+    hull, room = cut_at(upper_m)
+    assert room.at_walls(hull.voxels).any()
+    tools = make_tools(room, 30.0, 1.74, "anthropometric", PoseConfig(), LikelihoodConfig(), 1)
+    inside = room.is_below_ceiling(landmarks_of(FLESH.body, state()[None])[0])
+    assert not inside.all()
+    cut = tools.frame(hull)
+    np.testing.assert_array_equal(cut.fit(state()).judged, inside)
+    # Its parts beyond are neither empty nor surface: as good as within, but for the cut's own rim.
+    away = state()
+    away[:3] -= 0.1 * (np.array(upper_m) < 9.0)
+    assert cut.evidence([state()])[0] > cut.evidence([away])[0]
+    whole = evidence(FLESH.hull(state(), margin_m=VOXEL_M)).part_scores(state()).occupied[0]
+    np.testing.assert_allclose(cut.part_scores(state()).occupied[0], whole, atol=0.02)
+
+
+def test_the_room_goes_on_where_a_hull_reaches_its_walls_and_not_under_its_floor() -> None:
+    room = VoxelGrid(np.zeros(3), (5, 5, 5), 0.1)
+    full = np.arange(room.n_voxels, dtype=np.int32)
+    corner = full[room.subscripts(full).max(axis=1) < 3]  # reaches the lower walls alone
+    reach_m = EvidenceSettings.hidden_reach_m
+    for voxels, upper_m in ((full, 0.5 + reach_m), (corner, 0.5)):
+        volume = pack_volume(room, PersonHull(voxels, surface_voxels(voxels, room)), 1.0)
+        np.testing.assert_allclose(volume.box.room_lower, [-reach_m, -reach_m, 0.0])
+        np.testing.assert_allclose(volume.box.room_upper, [upper_m] * 3)
+        assert (volume.crop[:, :, : -int(volume.lower_subscript[2])] < 128).all()
+        beyond = volume.crop[
+            1 : -int(volume.lower_subscript[0]), 1:-1, 1 - int(volume.lower_subscript[2]) : -1
+        ]
+        assert (beyond >= 128 + 64).all()
+
+
+def test_no_surface_where_the_room_ends() -> None:
+    room = VoxelGrid(np.zeros(3), (5, 5, 5), 0.1)
+    full = np.arange(room.n_voxels, dtype=np.int32)
+    assert surface_voxels(full, room).sum() == 5**3 - 3**3
+    is_surface = surface_voxels(full, room, beyond_is_empty=False)
+    np.testing.assert_array_equal(is_surface, room.subscripts(full)[:, 2] == 0)  # the floor is there
+
+
 @pytest.mark.parametrize(("n_cameras", "is_seen"), [(0, False), (1, False), (2, True)])
 def test_a_landmark_is_observed_only_when_two_cameras_can_judge_it(n_cameras: int, is_seen: bool) -> None:
     low = landmarks_of(FLESH.body, state()[None])[0, ANKLE, 2] + 0.05
@@ -227,8 +278,8 @@ def test_hidden_landmarks_are_named_with_their_frames() -> None:
     assert told(series_of(states, observed=seen)) == []
     (warning,) = told(series_of(states, observed=seen, hidden_std=hidden))
     assert warning.startswith(
-        "person 4: right_ankle are hidden from all cameras or all but one, outside their pictures, or lost from masks "
-        "so that the volume hangs in the air, in frames 21-22:"
+        "person 4: right_ankle are hidden from all cameras or all but one, outside their pictures or the room, or lost "
+        "from masks so that the volume hangs in the air, in frames 21-22:"
     )
     (warning,) = told(series_of(states, observed=seen, hidden_std=hidden, doubtful=hidden > 0))
     assert warning.startswith("person 4: right_ankle may be elsewhere in frames 21-22:")

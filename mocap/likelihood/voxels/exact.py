@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal
 
@@ -61,11 +61,13 @@ class PackedVolume:
 
     crop : (nx, ny, nz) uint8; bit 7 = occupied, bits 0-6 = smoothed surface, 127 = on the surface. Its outermost
     layer is empty. lower_subscript : (3,) voxel subscript of crop[0, 0, 0] in the grid (may be negative).
+    beyond : (2, 3) voxels by which the room goes on beyond the grid, below and above; it ends where the grid does if 0.
     """
 
     crop: NDArray[np.uint8]
     lower_subscript: NDArray[np.int64]
     grid: VoxelGrid
+    beyond: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 3), dtype=np.int64))
 
     def __post_init__(self) -> None:
         if self.crop.ndim != 3 or self.crop.dtype != np.uint8:
@@ -87,8 +89,8 @@ class PackedVolume:
             shape=np.array(self.crop.shape, dtype=np.int64),
             lower=self.lower_m,
             voxel_size=float(self.grid.voxel_size_m),
-            room_lower=self.grid.origin,
-            room_upper=self.grid.upper,
+            room_lower=self.grid.origin - self.beyond[0] * self.grid.voxel_size_m,
+            room_upper=self.grid.upper + self.beyond[1] * self.grid.voxel_size_m,
         )
 
 
@@ -293,8 +295,8 @@ def part_scores_numpy(
     voxel_size, crop_lower = volume.grid.voxel_size_m, volume.lower_m
     A = (R / voxel_size).astype(np.float32)
     b = ((t - crop_lower) / voxel_size).astype(np.float32)
-    room_lower = ((volume.grid.origin - crop_lower) / voxel_size).astype(np.float32)
-    room_upper = ((volume.grid.upper - crop_lower) / voxel_size).astype(np.float32)
+    room_lower = ((volume.box.room_lower - crop_lower) / voxel_size).astype(np.float32)
+    room_upper = ((volume.box.room_upper - crop_lower) / voxel_size).astype(np.float32)
     counts = np.zeros((len(states), P, 4), dtype=np.int64)
     shape = np.array(volume.crop.shape)
     flat = volume.crop.reshape(-1)

@@ -269,7 +269,7 @@ class PersonViews:
         unknown = arrays["unknown"].astype(np.int32, copy=False)
         if len(legs := lost_legs(voxels, grid)):
             unknown = np.union1d(unknown, legs)
-        is_surface = surface_voxels(voxels, grid, unknown)
+        is_surface = surface_voxels(voxels, grid, unknown, beyond_is_empty=False)
         others = arrays["voxels"][(owner > 0) & ~keep & arrays["is_surface"].astype(np.bool_)]
 
         @lru_cache(maxsize=1)

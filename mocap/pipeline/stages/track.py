@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -10,13 +11,15 @@ from numpy.typing import NDArray
 
 from mocap.data import VoxelGrid
 from mocap.errors import MocapError
+from mocap.io.store import StageStore
 from mocap.pipeline.config import TrackingConfig
 from mocap.pipeline.stage import Ending, FrameWork, Job, Row, Seen, Sources, Stage, StageReport
 from mocap.pipeline.tracking import tracker_input, tracker_settings
+from mocap.products import hulls as hulls_product
 from mocap.products import owners as owners_product
 from mocap.products import tracks as tracks_product
-from mocap.products.hulls import read_hulls
-from mocap.products.owners import owner_row
+from mocap.products.hulls import read_hulls, stored_grid
+from mocap.products.owners import owner_row, owners_at
 from mocap.products.tracks import stored_tracks, track_row
 from mocap.rng import rng_for
 from mocap.tracking import Track, TrackerSettings, TrackerState, slim, track_step, tracks_from_history
@@ -131,10 +134,41 @@ class _Owners:
 
 
 def track_report(job: Job) -> StageReport:
-    """How many persons there are, and advice where there is none."""
+    """How many persons there are, and advice where there is none, or where the room does not hold one."""
     n = len(stored_tracks(job.store, job.session.fps).persons)
-    warnings = () if n else (_NOBODY,)
-    return StageReport(warnings, {"n_persons": n})
+    warnings = _cut_off(job.store) if n else [_NOBODY]
+    return StageReport(tuple(warnings), {"n_persons": n})
+
+
+def _cut_off(store: StageStore) -> list[str]:
+    """Which persons reach through the walls or the ceiling of the grid: nobody carves what is beyond."""
+    grid, owners = stored_grid(store), store.reader(owners_product.PRODUCT)
+    least = _WRIST_M2 / grid.voxel_size_m**2
+    n_frames: Counter[int] = Counter()
+    n_cut: dict[int, NDArray[np.int64]] = {}
+    for frame, arrays in store.reader(hulls_product.PRODUCT).rows("voxels"):
+        owner = owners_at(owners, frame)
+        at_walls = grid.at_walls(arrays["voxels"])
+        for person in np.unique(owner[owner > 0]).tolist():
+            n_frames[person] += 1
+            is_cut = np.count_nonzero(at_walls[owner == person], axis=0) > least
+            n_cut[person] = n_cut.get(person, 0) + is_cut.astype(np.int64)
+    warnings = []
+    for person, counts in sorted(n_cut.items()):
+        cut = [k for k in range(len(counts)) if counts[k] > max(_FEW_FRAMES, _FEW_SHARE * n_frames[person])]
+        if cut:
+            sides = np.array([grid.origin, grid.upper]).T.ravel()[[0, 1, 2, 3, 5]]
+            walls = ", ".join(f"{'xxyyz'[k]} = {sides[k]:.2f} m in {counts[k]}" for k in cut)
+            warnings.append(
+                f"person {person}: the volume ends at the border of the room ({walls} of {n_frames[person]} frames): "
+                "what is beyond it is cut off, and poses are not to be trusted there. Remedy: a larger room, "
+                "room_bounds_m in session.toml"
+            )
+    return warnings
+
+
+# A wrist is as thick; it may be cut off in so many frames without a word, as when somebody comes in or leaves.
+_WRIST_M2, _FEW_FRAMES, _FEW_SHARE = 0.002, 2, 0.05
 
 
 _NOBODY = (
