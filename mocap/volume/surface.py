@@ -128,12 +128,8 @@ def bounds_within(
 
 
 def fill_beyond(crop: NDArray[np.uint8], lower_sub: NDArray[np.int64], grid: VoxelGrid, value: int) -> None:
-    """Set the bits of a value in what of a crop lies beside or above the grid, and not under its floor."""
-    before = np.maximum(-lower_sub, 0)
-    after = np.array(grid.shape) - lower_sub
-    over_floor = crop[:, :, before[2] :]
-    over_floor[: before[0]] |= np.uint8(value)
-    over_floor[after[0] :] |= np.uint8(value)
-    over_floor[:, : before[1]] |= np.uint8(value)
-    over_floor[:, after[1] :] |= np.uint8(value)
-    crop[:, :, after[2] :] |= np.uint8(value)
+    """Set the bits of a value in what of a crop lies beside or above the grid."""
+    before, after = np.maximum(-lower_sub, 0), np.array(grid.shape) - lower_sub
+    beside = (crop[: before[0]], crop[after[0] :], crop[:, : before[1]], crop[:, after[1] :])
+    for part in (*beside, crop[:, :, after[2] :]):
+        part |= np.uint8(value)

@@ -192,3 +192,30 @@ def test_who_comes_in_through_a_wall_is_not(stage):
     _, _, store = stage(clip)
     session = SimpleNamespace(frames=range(len(clip)), fps=FPS)
     assert track_report(Job(session, load_config(), store, "k")).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "n_after", "is_told"), [(0.5, 10, True), (1.1, 10, False), (0.5, 9, False)]
+)
+def test_who_is_lost_beside_somebody_is_named(tmp_path, gap_m, n_after, is_told):
+    """At 10 frames per second: two persons in five frames, and one of them in some more."""
+    store = StageStore(tmp_path / "store.zarr")
+    places = np.array([[0.0, 0.0, 1.0], [gap_m, 0.0, 1.0]])
+    grid = {"origin_m": GRID.origin.tolist(), "shape": list(GRID.shape), "voxel_size_m": GRID.voxel_size_m}
+    with (
+        store.writer("track", "k", {}) as tracks,
+        store.writer("carve", "k", grid) as hulls,
+        store.writer("track-owners", "k", {}) as owners,
+    ):
+        for frame in range(5 + n_after):
+            n = 2 if frame < 5 else 1
+            tracks.append(frame, person=np.array([1, 2])[:n], xyz=places[:n])
+            hulls.append(frame, voxels=np.zeros(0, dtype=np.int32))
+            owners.append(frame, owner=np.zeros(0, dtype=np.uint16))
+    session = SimpleNamespace(frames=range(5 + n_after), fps=FPS)
+    warnings = track_report(Job(session, load_config(), store, "k")).warnings
+    assert len(warnings) == is_told
+    if is_told:
+        assert warnings[0].startswith(
+            "person 2 is followed up to frame 4 only, where he is beside person 1: unless he"
+        )

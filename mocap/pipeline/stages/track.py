@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import VoxelGrid
+from mocap.data import Tracks, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.pipeline.config import TrackingConfig
@@ -134,10 +134,31 @@ class _Owners:
 
 
 def track_report(job: Job) -> StageReport:
-    """How many persons there are, and advice where there is none, or where the room does not hold one."""
-    n = len(stored_tracks(job.store, job.session.fps).persons)
-    warnings = _cut_off(job.store) if n else [_NOBODY]
+    """How many persons there are, and advice where there is none, where the room does not hold one, and where one is
+    lost in another.
+    """
+    tracks = stored_tracks(job.store, job.session.fps)
+    n = len(tracks.persons)
+    warnings = _cut_off(job.store) + _lost_in_another(tracks, job.session.fps) if n else [_NOBODY]
     return StageReport(tuple(warnings), {"n_persons": n})
+
+
+def _lost_in_another(tracks: Tracks, fps: float) -> list[str]:
+    """Who is no longer followed from a frame on in which he is beside somebody who still is a while later."""
+    warnings = []
+    for person in tracks.persons:
+        own = tracks.of(person)
+        end, later = int(own.frame[-1]), int(own.frame[-1]) + max(1, round(_A_WHILE_S * fps))
+        beside = tracks.rows((tracks.frame == end) & (tracks.person != person))
+        gap_m = np.linalg.norm(beside.xyz[:, :2] - own.xyz[-1, :2], axis=1)
+        for other in beside.person[gap_m < _BESIDE_M].tolist():
+            if (tracks.of(other).frame >= later).any():
+                warnings.append(
+                    f"person {person} is followed up to frame {end} only, where he is beside person {other}: unless "
+                    "he left there, the two are one volume from then on, and poses of it are of neither. Remedy: a "
+                    "camera overhead, or more of them, tells people apart who touch"
+                )
+    return warnings
 
 
 def _cut_off(store: StageStore) -> list[str]:
@@ -169,6 +190,10 @@ def _cut_off(store: StageStore) -> list[str]:
 
 # A wrist is as thick; it may be cut off in so many frames without a word, as when somebody comes in or leaves.
 _WRIST_M2, _FEW_FRAMES, _FEW_SHARE = 0.002, 2, 0.05
+_BESIDE_M, _A_WHILE_S = (
+    0.8,
+    1.0,
+)  # people so near to each other touch; who leaves a room with another is gone by then
 
 
 _NOBODY = (
