@@ -182,7 +182,7 @@ def test_who_reaches_through_a_wall_of_the_room_is_named(stage):
     session = SimpleNamespace(frames=range(len(clip)), fps=FPS)
     (warning,) = track_report(Job(session, load_config(), store, "k")).warnings
     assert warning.startswith(
-        "person 1: the volume ends at the border of the room (x = 1.50 m in 6 of 11 frames): what is beyond it is cut"
+        "person 1: the volume ends at the border of the room (x = 1.50 m in 6 of 11 frames): what is beyond it is not"
     )
     assert "Remedy: a larger room, room_bounds_m in session.toml" in warning
 

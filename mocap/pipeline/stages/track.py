@@ -24,6 +24,11 @@ from mocap.products.tracks import stored_tracks, track_row
 from mocap.rng import rng_for
 from mocap.tracking import Track, TrackerSettings, TrackerState, slim, track_step, tracks_from_history
 
+# Who is cut off at the border of the room: a wrist is as thick, and who walks in through a wall is for some frames.
+_WRIST_M2, _FEW_FRAMES, _FEW_SHARE = 0.002, 2, 0.1
+_BESIDE_M = 0.8  # people so near to each other touch
+_A_WHILE_S = 1.0  # who leaves a room with another is gone by then
+
 
 @dataclass(frozen=True, eq=False)
 class _Tracking:
@@ -182,18 +187,10 @@ def _cut_off(store: StageStore) -> list[str]:
             walls = ", ".join(f"{'xxyyz'[k]} = {sides[k]:.2f} m in {counts[k]}" for k in cut)
             warnings.append(
                 f"person {person}: the volume ends at the border of the room ({walls} of {n_frames[person]} frames): "
-                "what is beyond it is cut off, and poses are not to be trusted there. Remedy: a larger room, "
-                "room_bounds_m in session.toml"
+                "what is beyond it is not carved, and poses are uncertain there. Remedy: a larger room, room_bounds_m "
+                "in session.toml"
             )
     return warnings
-
-
-# A wrist is as thick; it may be cut off in so many frames without a word, as when somebody comes in or leaves.
-_WRIST_M2, _FEW_FRAMES, _FEW_SHARE = 0.002, 2, 0.05
-_BESIDE_M, _A_WHILE_S = (
-    0.8,
-    1.0,
-)  # people so near to each other touch; who leaves a room with another is gone by then
 
 
 _NOBODY = (
