@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import frames_in_words
 from mocap.body import Body
 from mocap.body.initial import HeightEstimate
 from mocap.data import LANDMARKS, Motion, landmark_names
@@ -130,7 +131,7 @@ def warnings_of_volumes(
         names = [
             name for name, own in zip(landmark_names(doubtful.shape[1]), doubtful.T, strict=True) if own.any()
         ]
-        when = _told(frames[doubtful.any(axis=1)])
+        when = frames_in_words(frames[doubtful.any(axis=1)])
         warnings.append(
             f"person {person}: {', '.join(names)} may be elsewhere in frames {when}: another pose explains the volume "
             "about as well there, as when legs cross behind furniture. They are marked as not observed"
@@ -143,7 +144,8 @@ def warnings_of_volumes(
         warnings.append(
             f"person {person}: {', '.join(names)} are hidden from all cameras or all but one, outside their pictures "
             "or the room, or lost from masks so that the volume hangs in the air, in frames "
-            f"{_told(frames[hidden.any(axis=1)])}: they are marked as not observed, and deviations grow with the time"
+            f"{frames_in_words(frames[hidden.any(axis=1)])}: they are marked as not observed, and deviations grow with "
+            "the time"
         )
     seldom = _seldom_observed(series.observed, series.log_likelihood)
     if seldom:
@@ -163,13 +165,6 @@ def warnings_of_volumes(
             "almost equally well); left and right may be exchanged"
         )
     return warnings
-
-
-def _told(frames: NDArray[np.int64], most: int = 6) -> str:
-    """Ascending frames in words: `4-9, 31, 40-44`, the first of them only where there are many."""
-    pieces = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
-    words = [f"{p[0]}-{p[-1]}" if len(p) > 1 else f"{p[0]}" for p in pieces[:most]]
-    return ", ".join(words) + (" and others" if len(pieces) > most else "")
 
 
 def _seldom_observed(observed: NDArray[np.bool_], log_likelihood: Array) -> list[str]:

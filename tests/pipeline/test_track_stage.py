@@ -12,7 +12,7 @@ from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.stage import Job
-from mocap.pipeline.stages.track import TRACK, track_report
+from mocap.pipeline.stages.track import TRACK, sides_between, track_report
 from mocap.pipeline.tracking import every_frame, tracker_settings
 from mocap.pipeline.walk import run_stage
 from mocap.products.tracks import stored_tracks, track_row
@@ -194,28 +194,77 @@ def test_who_comes_in_through_a_wall_is_not(stage):
     assert track_report(Job(session, load_config(), store, "k")).warnings == ()
 
 
+@pytest.fixture
+def warned(tmp_path):
+    """What the stage says of stored places (P, 3) m, voxels and owners (N,) of each frame; persons are 1, 2, ..."""
+
+    def warnings(frames):
+        store = StageStore(tmp_path / "store.zarr")
+        grid = {
+            "origin_m": GRID.origin.tolist(),
+            "shape": list(GRID.shape),
+            "voxel_size_m": GRID.voxel_size_m,
+        }
+        with (
+            store.writer("track", "k", {}) as tracks,
+            store.writer("carve", "k", grid) as hulls,
+            store.writer("track-owners", "k", {}) as owners,
+        ):
+            for frame, (places, voxels, owner) in enumerate(frames):
+                tracks.append(frame, person=np.arange(len(places)) + 1, xyz=np.array(places))
+                hulls.append(frame, voxels=np.array(voxels, dtype=np.int32))
+                owners.append(frame, owner=np.array(owner, dtype=np.uint16))
+        session = SimpleNamespace(frames=range(len(frames)), fps=FPS)
+        return track_report(Job(session, load_config(), store, "k")).warnings
+
+    return warnings
+
+
 @pytest.mark.parametrize(
     ("gap_m", "n_after", "is_told"), [(0.5, 10, True), (1.1, 10, False), (0.5, 9, False)]
 )
-def test_who_is_lost_beside_somebody_is_named(tmp_path, gap_m, n_after, is_told):
+def test_who_is_lost_beside_somebody_is_named(warned, gap_m, n_after, is_told):
     """At 10 frames per second: two persons in five frames, and one of them in some more."""
-    store = StageStore(tmp_path / "store.zarr")
-    places = np.array([[0.0, 0.0, 1.0], [gap_m, 0.0, 1.0]])
-    grid = {"origin_m": GRID.origin.tolist(), "shape": list(GRID.shape), "voxel_size_m": GRID.voxel_size_m}
-    with (
-        store.writer("track", "k", {}) as tracks,
-        store.writer("carve", "k", grid) as hulls,
-        store.writer("track-owners", "k", {}) as owners,
-    ):
-        for frame in range(5 + n_after):
-            n = 2 if frame < 5 else 1
-            tracks.append(frame, person=np.array([1, 2])[:n], xyz=places[:n])
-            hulls.append(frame, voxels=np.zeros(0, dtype=np.int32))
-            owners.append(frame, owner=np.zeros(0, dtype=np.uint16))
-    session = SimpleNamespace(frames=range(5 + n_after), fps=FPS)
-    warnings = track_report(Job(session, load_config(), store, "k")).warnings
+    places = [[0.0, 0.0, 1.0], [gap_m, 0.0, 1.0]]
+    warnings = warned([(places, [], [])] * 5 + [(places[:1], [], [])] * n_after)
     assert len(warnings) == is_told
     if is_told:
         assert warnings[0].startswith(
             "person 2 is followed up to frame 4 only, where he is beside person 1: unless he"
         )
+
+
+def test_persons_who_touch_are_named_with_their_frames(warned):
+    """A third one stands alone; what is nobody's between two does not join them."""
+    places = [[x, 0.0, 1.0] for x in (-0.6, 0.0, 1.0)]
+
+    def frame(gap_m, owner_between=0):
+        centers = GRID.centers(np.arange(GRID.n_voxels, dtype=np.int32))
+        owner = np.zeros(len(centers))
+        x, is_body = centers[:, 0], (np.abs(centers[:, 1]) < 0.16) & (centers[:, 2] < 1.7)
+        owner[is_body & (np.abs(x + 0.3) < 0.16)] = 1
+        owner[is_body & (np.abs(x - gap_m) < 0.16)] = 2
+        owner[is_body & (np.abs(x - 1.0) < 0.16)] = 3
+        voxels = np.flatnonzero(owner + (is_body & (np.abs(x) < 0.3)))
+        return places, voxels, owner[voxels]
+
+    near, apart = frame(0.0), frame(0.15)
+    (warning,) = warned([apart, near, near, apart, near])
+    assert warning.startswith(
+        "persons 1 and 2 are one volume in frames 1-2, 4: an arm that reaches over to the other"
+    )
+
+
+def test_sides_between_two_persons_are_counted_as_by_hand():
+    rng = np.random.default_rng(3)
+    grid = VoxelGrid(np.zeros(3), (9, 8, 7), 0.1)
+    owner = rng.integers(0, 3, grid.n_voxels)
+    one, other = (np.flatnonzero(owner == p).astype(np.int32) for p in (1, 2))
+    subs = grid.subscripts(one)
+    expected = 0
+    for step in np.concatenate([np.eye(3, dtype=int), -np.eye(3, dtype=int)]):
+        beside = subs + step
+        inside = ((beside >= 0) & (beside < np.array(grid.shape))).all(axis=1)
+        expected += np.isin(grid.linear(beside[inside]), other).sum()
+    assert sides_between(one, other, grid) == sides_between(other, one, grid) == expected > 100
+    assert sides_between(one[subs[:, 0] < 3], other[grid.subscripts(other)[:, 0] > 4], grid) == 0

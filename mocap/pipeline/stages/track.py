@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap.arrays import frames_in_words
 from mocap.data import Tracks, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
@@ -139,12 +141,12 @@ class _Owners:
 
 
 def track_report(job: Job) -> StageReport:
-    """How many persons there are, and advice where there is none, where the room does not hold one, and where one is
-    lost in another.
+    """How many persons there are, and advice where there is none, where the room does not hold one, and where two touch
+    or one is lost in another.
     """
     tracks = stored_tracks(job.store, job.session.fps)
     n = len(tracks.persons)
-    warnings = _cut_off(job.store) + _lost_in_another(tracks, job.session.fps) if n else [_NOBODY]
+    warnings = _cut_off_or_touching(job.store) + _lost_in_another(tracks, job.session.fps) if n else [_NOBODY]
     return StageReport(tuple(warnings), {"n_persons": n})
 
 
@@ -166,19 +168,23 @@ def _lost_in_another(tracks: Tracks, fps: float) -> list[str]:
     return warnings
 
 
-def _cut_off(store: StageStore) -> list[str]:
-    """Which persons reach through the walls or the ceiling of the grid: nobody carves what is beyond."""
+def _cut_off_or_touching(store: StageStore) -> list[str]:
+    """Which persons reach through the walls or the ceiling of the grid, beyond which nobody carves, and which touch."""
     grid, owners = stored_grid(store), store.reader(owners_product.PRODUCT)
     least = _WRIST_M2 / grid.voxel_size_m**2
     n_frames: Counter[int] = Counter()
     n_cut: dict[int, NDArray[np.int64]] = {}
+    touching: dict[tuple[int, int], list[int]] = {}
     for frame, arrays in store.reader(hulls_product.PRODUCT).rows("voxels"):
         owner = owners_at(owners, frame)
-        at_walls = grid.at_walls(arrays["voxels"])
-        for person in np.unique(owner[owner > 0]).tolist():
+        persons = {p: arrays["voxels"][owner == p] for p in np.unique(owner[owner > 0]).tolist()}
+        for person, own in persons.items():
             n_frames[person] += 1
-            is_cut = np.count_nonzero(at_walls[owner == person], axis=0) > least
+            is_cut = np.count_nonzero(grid.at_walls(own), axis=0) > least
             n_cut[person] = n_cut.get(person, 0) + is_cut.astype(np.int64)
+        for one, other in combinations(persons, 2):
+            if sides_between(persons[one], persons[other], grid) > least:
+                touching.setdefault((one, other), []).append(frame)
     warnings = []
     for person, counts in sorted(n_cut.items()):
         cut = [k for k in range(len(counts)) if counts[k] > max(_FEW_FRAMES, _FEW_SHARE * n_frames[person])]
@@ -190,7 +196,27 @@ def _cut_off(store: StageStore) -> list[str]:
                 "what is beyond it is not carved, and poses are uncertain there. Remedy: a larger room, room_bounds_m "
                 "in session.toml"
             )
+    for (one, other), frames in sorted(touching.items()):
+        warnings.append(
+            f"persons {one} and {other} are one volume in frames {frames_in_words(np.array(frames))}: an arm that "
+            "reaches over to the other may count as his, and poses of arms are uncertain there. Remedy: more cameras"
+        )
     return warnings
+
+
+def sides_between(one: NDArray[np.int32], other: NDArray[np.int32], grid: VoxelGrid) -> int:
+    """How many sides the voxels of two persons, (N,) and (M,), have in common."""
+    a, b = grid.subscripts(one), grid.subscripts(other)
+    lower = np.maximum(a.min(axis=0), b.min(axis=0)) - 1
+    upper = np.minimum(a.max(axis=0), b.max(axis=0)) + 1
+    if np.any(lower > upper):
+        return 0
+    mark = np.zeros(upper - lower + 1, dtype=np.int8)
+    for subs, value in ((a, 1), (b, -1)):
+        mark[tuple((subs[((subs >= lower) & (subs <= upper)).all(axis=1)] - lower).T)] = value
+    return sum(
+        int(np.count_nonzero(m[1:] * m[:-1] < 0)) for m in (np.moveaxis(mark, axis, 0) for axis in range(3))
+    )
 
 
 _NOBODY = (
