@@ -268,3 +268,12 @@ def test_sides_between_two_persons_are_counted_as_by_hand():
         expected += np.isin(grid.linear(beside[inside]), other).sum()
     assert sides_between(one, other, grid) == sides_between(other, one, grid) == expected > 100
     assert sides_between(one[subs[:, 0] < 3], other[grid.subscripts(other)[:, 0] > 4], grid) == 0
+
+
+def test_who_reaches_through_the_ceiling_is_named(warned):
+    centers = GRID.centers(np.arange(GRID.n_voxels, dtype=np.int32))
+    voxels = np.flatnonzero((np.abs(centers[:, :2]) < 0.1).all(axis=1))
+    (warning,) = warned([([[0.0, 0.0, 1.0]], voxels, np.ones(len(voxels)))] * 4)
+    assert warning.startswith(
+        "person 1: the volume ends at the border of the room (z = 1.80 m in 4 of 4 frames)"
+    )

@@ -96,27 +96,28 @@ def test_legs_that_nobody_sees_carry_the_body() -> None:
     assert pull[0] > pull[1] + 30.0
 
 
+def stored_hull(grid: VoxelGrid, voxels: np.ndarray, unknown: np.ndarray) -> PersonHull:
+    """What the stage makes of stored voxels of one person."""
+    session = SimpleNamespace(rig=make_rig())
+    rows = {
+        "voxels": voxels.astype(np.uint32),
+        "unknown": unknown.astype(np.uint32),
+        "is_surface": np.ones(len(voxels), dtype=np.uint8),
+        "used": np.ones(len(session.rig), dtype=np.bool_),
+    }
+    views = PersonViews(cast(Session, session), grid, no_occluders())
+    found = views.hull(rows, np.ones(len(voxels), dtype=np.uint8), 1, dict)
+    assert found is not None
+    return replace(found, outlines=None, rays=None)  # of masks and pictures, of which there are none
+
+
 def test_legs_that_masks_have_lost_are_unknown() -> None:
     """Nothing hides them: the masks of all cameras end at the hips, and below them is the floor."""
     grid, whole = FLESH.grid, FLESH.hull(state(), margin_m=VOXEL_M).voxels
-    session = SimpleNamespace(rig=make_rig())
-    views = PersonViews(cast(Session, session), grid, no_occluders())
     hips = landmarks_of(FLESH.body, state()[None])[0][LANDMARKS.index("pelvis"), 2]
-
-    def hull_of(voxels: np.ndarray, unknown: np.ndarray) -> PersonHull:
-        rows = {
-            "voxels": voxels.astype(np.uint32),
-            "unknown": unknown.astype(np.uint32),
-            "is_surface": np.ones(len(voxels), dtype=np.uint8),
-            "used": np.ones(len(session.rig), dtype=np.bool_),
-        }
-        found = views.hull(rows, np.ones(len(voxels), dtype=np.uint8), 1, dict)
-        assert found is not None
-        return replace(found, outlines=None, rays=None)  # of masks and pictures, of which there are none
-
     none, beside = np.zeros(0, dtype=np.int32), np.array([3, 5], dtype=np.int32)
     trunk = whole[grid.centers(whole)[:, 2] > hips]
-    torn, complete = hull_of(trunk, beside), hull_of(whole, none)
+    torn, complete = stored_hull(grid, trunk, beside), stored_hull(grid, whole, none)
     assert not complete.unknown.size
     assert np.isin(np.setdiff1d(whole, trunk), torn.unknown).mean() > 0.97
     assert np.isin(beside, torn.unknown).all()
@@ -210,8 +211,12 @@ def test_who_reaches_out_of_the_room_goes_on_beyond(upper_m: tuple[float, float,
     tools = make_tools(room, 30.0, 1.74, "anthropometric", PoseConfig(), LikelihoodConfig(), 1)
     inside = room.is_below_ceiling(landmarks_of(FLESH.body, state()[None])[0])
     assert not inside.all()
-    cut = tools.frame(hull)
-    np.testing.assert_array_equal(cut.fit(state()).judged, inside)
+    cut, seen_by_all = (
+        tools.frame(hull),
+        tools.frame(replace(hull, n_judges=lambda points: np.full(len(points), 7))),
+    )
+    for one in (cut, seen_by_all):
+        np.testing.assert_array_equal(one.fit(state()).judged, inside)
     # Its parts beyond are neither empty nor surface: as good as within, but for the cut's own rim.
     away = state()
     away[:3] -= 0.1 * (np.array(upper_m) < 9.0)
@@ -240,6 +245,7 @@ def test_no_surface_where_the_room_ends() -> None:
     assert surface_voxels(full, room).sum() == 5**3 - 3**3
     is_surface = surface_voxels(full, room, beyond_is_empty=False)
     np.testing.assert_array_equal(is_surface, room.subscripts(full)[:, 2] == 0)  # the floor is there
+    np.testing.assert_array_equal(stored_hull(room, full, full[:0]).is_surface, is_surface)
 
 
 @pytest.mark.parametrize(("n_cameras", "is_seen"), [(0, False), (1, False), (2, True)])
