@@ -98,11 +98,11 @@ class VoxelGrid:
 
     def at_walls(self, voxels: Voxels) -> NDArray[np.bool_]:
         """Which of the voxels (N,) are the last before a side of the grid: lower x, upper x, lower y, upper y and the
-        top, (N, 5); the floor is none.
+        top, (5, N); the floor is none.
         """
         x, y, z = self.subscripts(voxels).T
         nx, ny, nz = self.shape
-        return np.column_stack([x == 0, x == nx - 1, y == 0, y == ny - 1, z == nz - 1])
+        return np.stack([x == 0, x == nx - 1, y == 0, y == ny - 1, z == nz - 1])
 
     def dense(self, voxels: Voxels) -> NDArray[np.bool_]:
         """The same set as a dense (nx, ny, nz) bool array."""

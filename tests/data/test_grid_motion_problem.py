@@ -45,7 +45,7 @@ def test_points_outside_or_nan_have_no_voxel() -> None:
 def test_voxels_at_walls_and_points_below_the_ceiling() -> None:
     subs = np.array([[0, 2, 5], [6, 2, 5], [3, 0, 5], [3, 4, 5], [3, 2, 10], [3, 2, 0], [6, 4, 10]])
     walls = np.vstack([np.eye(5), np.zeros((1, 5)), [[0, 1, 0, 1, 1]]])
-    np.testing.assert_array_equal(GRID.at_walls(GRID.linear(subs)), walls > 0)
+    np.testing.assert_array_equal(GRID.at_walls(GRID.linear(subs)).T, walls > 0)
     points = np.array(
         [[-0.4, 0.3, -0.2], [-0.4, 0.3, 0.5], [-0.4, 0.3, 0.56], [-0.6, 0.3, 0.1], [-0.4, 0.51, 0.1]]
     )

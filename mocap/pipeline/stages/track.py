@@ -180,8 +180,8 @@ def _cut_off_or_touching(store: StageStore) -> list[str]:
         persons = {p: arrays["voxels"][owner == p] for p in np.unique(owner[owner > 0]).tolist()}
         for person, own in persons.items():
             n_frames[person] += 1
-            is_cut = np.count_nonzero(grid.at_walls(own), axis=0) > least
-            n_cut[person] = n_cut.get(person, 0) + is_cut.astype(np.int64)
+            is_cut = [np.count_nonzero(side) > least for side in grid.at_walls(own)]
+            n_cut[person] = n_cut.get(person, 0) + np.array(is_cut, dtype=np.int64)
         for one, other in combinations(persons, 2):
             if sides_between(persons[one], persons[other], grid) > least:
                 touching.setdefault((one, other), []).append(frame)
