@@ -125,7 +125,7 @@ def pack_volume(
         lower, upper = np.minimum(lower, near[0] - 1), np.maximum(upper, near[1] + 1)
     beyond = reach * np.stack([first == 0, last == np.array(grid.shape)])
     beyond[0, 2] = 0  # under the floor there is nothing
-    lower, upper = lower - beyond[0], upper + beyond[1]
+    lower, upper = np.minimum(lower, first - beyond[0]), np.maximum(upper, last + beyond[1])
     crop = surface_map(hull.voxels, hull.is_surface, grid, lower, upper, surface_sigma_voxels)
     mark_unknown(crop, lower, unknown, OCCUPIED_BIT | _HALF_SURFACE)
     if beyond.any():

@@ -146,7 +146,7 @@ def track_report(job: Job) -> StageReport:
     """
     tracks = stored_tracks(job.store, job.session.fps)
     n = len(tracks.persons)
-    warnings = _cut_off_or_touching(job.store) + _lost_in_another(tracks, job.session.fps) if n else [_NOBODY]
+    warnings = _told_by_volumes(job.store) + _lost_in_another(tracks, job.session.fps) if n else [_NOBODY]
     return StageReport(tuple(warnings), {"n_persons": n})
 
 
@@ -168,7 +168,7 @@ def _lost_in_another(tracks: Tracks, fps: float) -> list[str]:
     return warnings
 
 
-def _cut_off_or_touching(store: StageStore) -> list[str]:
+def _told_by_volumes(store: StageStore) -> list[str]:
     """Which persons reach through the walls or the ceiling of the grid, beyond which nobody carves, and which touch."""
     grid, owners = stored_grid(store), store.reader(owners_product.PRODUCT)
     least = _WRIST_M2 / grid.voxel_size_m**2
