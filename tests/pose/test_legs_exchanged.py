@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from flesh_voxels import Flesh
 
+from mocap.arrays import frames_in_words
 from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.data import LANDMARKS
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
@@ -18,7 +19,6 @@ from mocap.pose.follow import FramePose, follow_pose
 from mocap.pose.limbs import in_doubt, legs_exchanged, legs_of
 from mocap.pose.method import LegsSettings, RepairSettings
 from mocap.pose.repair import repair_limbs
-from mocap.pose.result import _told
 from mocap.pose.volume import PersonHull, VolumeEvidence, VolumeObservation, VolumeTools
 
 FPS = 30.0
@@ -170,5 +170,5 @@ def test_what_is_near_is_not_in_doubt(tools: VolumeTools, truth: np.ndarray) -> 
 
 
 def test_frames_are_told_in_words() -> None:
-    assert _told(np.array([4, 5, 6, 9, 31, 32])) == "4-6, 9, 31-32"
-    assert _told(np.arange(0, 40, 2)) == "0, 2, 4, 6, 8, 10 and others"
+    assert frames_in_words(np.array([4, 5, 6, 9, 31, 32])) == "4-6, 9, 31-32"
+    assert frames_in_words(np.arange(0, 40, 2)) == "0, 2, 4, 6, 8, 10 and others"
