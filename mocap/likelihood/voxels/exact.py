@@ -292,11 +292,12 @@ def part_scores_numpy(
     P = body.layout.n_parts
     chosen, placed = chosen_parts(body, parts, given)
     R, t = joint_transforms(body, states)
-    voxel_size, crop_lower = volume.grid.voxel_size_m, volume.lower_m
+    box = volume.box
+    voxel_size, crop_lower = box.voxel_size, box.lower
     A = (R / voxel_size).astype(np.float32)
     b = ((t - crop_lower) / voxel_size).astype(np.float32)
-    room_lower = ((volume.box.room_lower - crop_lower) / voxel_size).astype(np.float32)
-    room_upper = ((volume.box.room_upper - crop_lower) / voxel_size).astype(np.float32)
+    room_lower = ((box.room_lower - crop_lower) / voxel_size).astype(np.float32)
+    room_upper = ((box.room_upper - crop_lower) / voxel_size).astype(np.float32)
     counts = np.zeros((len(states), P, 4), dtype=np.int64)
     shape = np.array(volume.crop.shape)
     flat = volume.crop.reshape(-1)
