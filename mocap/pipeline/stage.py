@@ -36,7 +36,8 @@ class Job:
 
     key : of its products.  each : `map` over threads; the result does not depend on their number.  is_endless : frames
     come until somebody stops, and nothing is kept for their end.  unedited_key : what the key would be without edits.
-    is_resumed : what an earlier run has left of a stage may be taken over.
+    is_resumed : what an earlier run has left of a stage may be taken over.  presumed : stages that walk along, and of
+    which it is to be presumed that they find nothing.
     """
 
     session: Session
@@ -50,6 +51,7 @@ class Job:
     is_endless: bool = False
     unedited_key: str = ""
     is_resumed: bool = False
+    presumed: frozenset[str] = frozenset()
 
     def writer(self, product: str, attrs: dict[str, Any] | None = None) -> StageWriter:
         """A product of the stage, to be written; use as context manager."""
@@ -66,6 +68,7 @@ class Seen:
     known : (P, K, 3) m keypoints of the persons on whom cameras agree, NaN = not known.
     tracks : those of the tracker in this frame, as they are called until now.  owner : (N,) serial + 1 of the track
     that holds each voxel of the hull, 0 = nobody.  begun : what the first half of a step leaves to the second.
+    is_refuted : a stage has found what those behind it presume not to be: they leave the frame to another walk.
     """
 
     index: int
@@ -79,6 +82,7 @@ class Seen:
     tracks: Sequence[Any] | None = None
     owner: NDArray[np.uint32] | None = None
     begun: Any = None
+    is_refuted: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +148,8 @@ class Stage:
     needs : stages before it.  needs_whole : those of them whose whole product its first frame needs.
     sections : of the configuration, that decide its result.  facts : of the session, besides its files and cameras.
     is_random : whether the seed decides, by configuration.
+    found_nothing : of a stage that mostly finds nothing, whether it did, when its product is there. Who needs it whole
+    walks along on that presumption, and once more where it was wrong. None = it is waited for.
     """
 
     name: str
@@ -156,6 +162,7 @@ class Stage:
     sections: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
     is_random: Callable[[Config], bool] = lambda config: False
+    found_nothing: Callable[[Job], bool] | None = None
 
     @property
     def module(self) -> str:

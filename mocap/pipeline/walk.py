@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import chain, repeat
+from types import TracebackType
 from typing import Any, TypeVar
 
 from mocap.forks import can_fork, given
@@ -30,11 +31,13 @@ _TOLD_AHEAD = 1
 
 
 def walks(stages: Sequence[Stage]) -> Iterator[tuple[Stage, ...]]:
-    """The stages in order, those together that can walk together: frame by frame, and none needs the end of another."""
+    """The stages in order, those together that can walk together: frame by frame, and none needs the end of another, or
+    it presumes what that will be."""
     together: list[Stage] = []
     for stage in stages:
         is_whole = isinstance(stage.work, ClipWork)
-        if together and (is_whole or {s.name for s in together} & set(stage.needs_whole)):
+        waits_for = {s.name for s in together if s.found_nothing is None}
+        if together and (is_whole or waits_for & set(stage.needs_whole)):
             yield tuple(together)
             together = []
         together.append(stage)
@@ -55,7 +58,11 @@ def run_together(stages: Sequence[tuple[Stage, Job]]) -> dict[str, float]:
 
     The result is that of one stage after the other.
     """
-    shown = [(stage, replace(job, config=job.config.only(stage.sections))) for stage, job in stages]
+    names = frozenset(stage.name for stage, _ in stages)
+    shown = [
+        (stage, replace(job, config=job.config.only(stage.sections), presumed=names & {*stage.needs_whole}))
+        for stage, job in stages
+    ]
     (first, job), *_ = shown
     if isinstance(first.work, ClipWork):
         started = time.perf_counter()
@@ -80,7 +87,8 @@ Found = tuple[Seen, Sequence[Row]]
 
 
 class Walker:
-    """A stage that works frame by frame, with its state.  busy_s : how long each half of its steps has worked."""
+    """A stage that works frame by frame, with its state.  busy_s : how long each half of its steps has worked.
+    is_refuted : whether a frame has shown that what it presumes is not so."""
 
     def __init__(self, stage: Stage, job: Job) -> None:
         assert isinstance(stage.work, FrameWork)
@@ -90,6 +98,7 @@ class Walker:
 
     def start(self, state: Any = None) -> None:
         """Begin a walk, with a state or anew."""
+        self.is_refuted = False
         with self._timed(0):
             self.state = self.work.start(self.job) if state is None else state
 
@@ -114,11 +123,15 @@ class Walker:
         n = len(self.job.session.frames)
         for seen, rows in found:
             recorder.take(rows)
-            if seen.index + 1 < n:  # the last one is done when the products are
+            # The last one is done when the products are; a walk that is of no use is not told of.
+            if seen.index + 1 < n and not self.is_refuted:
                 self.job.progress(self.stage.name, seen.index + 1, n)
             yield seen
 
     def _first(self, seen: Seen) -> Found:
+        if seen.is_refuted:
+            self.is_refuted = True
+            return seen, ()
         with self._timed(0), part(self.stage.name):
             self.state, seen, rows = self.work.step(self.state, seen)
         return seen, rows
@@ -126,6 +139,8 @@ class Walker:
     def _second(self, found: Found) -> Found:
         if self.work.then is None:
             return found
+        if self.is_refuted:
+            return replace(found[0], begun=None), ()
         with self._timed(1), part(self.stage.name):
             seen, rows = self.work.then(self.state, found[0])
         return replace(seen, begun=None), (*found[1], *rows)
@@ -140,11 +155,30 @@ class Walker:
 
 
 class Recorder:
-    """Writes the rows of one stage into its products; with a thread of its own, while the stage goes on."""
+    """Writes the rows of one stage into its products; with a thread of its own, while the stage goes on.
+
+    Use as context manager: what has not come to its end by then leaves nothing.
+    """
 
     def __init__(self, writers: Mapping[str, StageWriter], thread: Executor | None = None) -> None:
         self._writers, self._thread = writers, thread
         self._last: Future[None] | None = None
+        self._open = ExitStack()
+
+    def __enter__(self) -> Recorder:
+        with ExitStack() as opened:
+            for writer in self._writers.values():
+                opened.enter_context(writer)
+            self._open = opened.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        wait(() if self._last is None else (self._last,))  # what it has raised has been told, or is of no use
+        for writer in self._writers.values():
+            writer.discard()
+        self._open.close()
 
     def take(self, rows: Sequence[Row]) -> None:
         """Write rows, behind those of before; raises what writing these has raised."""
@@ -160,17 +194,12 @@ class Recorder:
             self._last.result()
 
     def end(self, ending: Ending) -> None:
-        """What is known when all frames have been seen."""
+        """What is known when all frames have been seen: with it the products are complete, and put in place."""
         self.take(ending.rows)
         self.catch_up()
         for product, attrs in ending.attrs.items():
             self._writers[product].describe(attrs)
-
-    def discard(self) -> None:
-        """Leave no products."""
-        self.catch_up()
-        for writer in self._writers.values():
-            writer.discard()
+        self._open.close()
 
     def _write(self, rows: Sequence[Row]) -> None:
         for row in rows:
@@ -196,21 +225,35 @@ def _once(walkers: Sequence[Walker], *, may_fork: bool) -> Sequence[Walker]:
     with ExitStack() as stack:
         thread = stack.enter_context(ThreadPoolExecutor(1)) if walkers[0].job.n_threads > 1 else None
         recorders = [
-            Recorder({p: stack.enter_context(walker.job.writer(p)) for p in walker.stage.products}, thread)
+            stack.enter_context(Recorder({p: walker.job.writer(p) for p in walker.stage.products}, thread))
             for walker in walkers
         ]
         with ExitStack() as streams:
             _go(walkers, recorders, streams, may_fork=may_fork)
         for k, walker in enumerate(walkers):
-            ending = walker.work.finish(walker.state)
-            if ending.again is None:
-                recorders[k].end(ending)
-                continue
-            for later, recorder in zip(walkers[k:], recorders[k:], strict=True):
-                recorder.discard()
-                later.start(ending.again if later is walker else None)
-            return walkers[k:]
+            ending = walker.work.finish(walker.state) if _presumed_rightly(walker, walkers[:k]) else None
+            if ending is None or ending.again is not None:
+                return _again(walkers[k:], None if ending is None else ending.again)
+            recorders[k].end(ending)
     return ()
+
+
+def _presumed_rightly(walker: Walker, done: Sequence[Walker]) -> bool:
+    """Whether what a walker has presumed of others, whose products are there by now, was so."""
+    presumed = [other for other in done if other.stage.name in walker.job.presumed]
+    return not walker.is_refuted and all(
+        other.stage.found_nothing is not None and other.stage.found_nothing(other.job) for other in presumed
+    )
+
+
+def _again(walkers: Sequence[Walker], state: Any) -> Sequence[Walker]:
+    """Walkers that begin another walk, the first one with a state if there is one; they presume nothing of those that
+    are done."""
+    names = {walker.stage.name for walker in walkers}
+    for walker in walkers:
+        walker.job = replace(walker.job, presumed=walker.job.presumed & names)
+        walker.start(state if walker is walkers[0] else None)
+    return walkers
 
 
 def _go(

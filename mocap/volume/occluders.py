@@ -147,6 +147,11 @@ class OccluderLearner:
                 self._vote(c, near, verdict)
         return True
 
+    @property
+    def has_found(self) -> bool:
+        """Whether something hides somebody by the votes so far, perhaps by those of cameras that have moved."""
+        return len(solid_voxels(self._space, self.n_free, self.n_blocked)) > 0
+
     def occluders(self) -> Occluders:
         """The maps of all cameras from the votes so far: for each cell the nearest solid voxel that hides somebody.
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from small_session import CAMERAS, PLAIN, SIZE, copy_session, small_session
+from small_session import CAMERAS, FPS, N_FRAMES, PLAIN, SIZE, copy_session, small_session
 
 from mocap.data import CameraRig, VoxelGrid
 from mocap.io.store import StageStore
 from mocap.pipeline.config import load_config
 from mocap.pipeline.run import run_session
 from mocap.pipeline.stages import occluders as stage
+from mocap.pipeline.stages.carve import _Carving
 from mocap.pipeline.stages.occluders import idle_cameras
+from mocap.products import hulls
 from mocap.products.empty import stored_empty
+from mocap.volume import OccluderLearner
 
 CUBE_M = np.array([[0.9, 0.9, 0.4]])
 
@@ -100,3 +104,33 @@ def test_nothing_is_asked_where_nothing_is_wanted_or_masks_are_given(
         monkeypatch.setattr(stage, "_FLOOR_TELLS", told)
         assert max(run(session, tmp_path / f"to {told}").values()) == 0
     assert asked == []
+
+
+def test_others_do_not_go_on_once_something_stands_there(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = small_session(tmp_path_factory.getbasetemp())
+    n_carved = []
+    hull = _Carving.hull
+
+    def counted(self: _Carving, *told: Any) -> Any:
+        n_carved.append(len(told))
+        return hull(self, *told)
+
+    def carved(out: str) -> dict[int, list[int]]:
+        n_carved.clear()
+        config = load_config("default", PLAIN)
+        run_session(session, tmp_path / out, config=config, until="carve", n_threads=1)
+        rows = StageStore(tmp_path / out / "store.zarr").reader(hulls.PRODUCT)
+        return {frame: arrays["voxels"].tolist() for frame, arrays in rows}
+
+    monkeypatch.setattr(_Carving, "hull", counted)
+    plain = carved("plain")
+    assert len(n_carved) == N_FRAMES
+    monkeypatch.setattr(stage, "_LOOKS_TO_ASK", 4)
+    assert carved("nothing found") == plain
+    assert len(n_carved) == N_FRAMES
+    monkeypatch.setattr(OccluderLearner, "has_found", True)
+    assert carved("found") == plain  # at the end there was nothing after all
+    stride = max(1, round(FPS / stage._LOOKS_PER_S))
+    assert len(n_carved) == 3 * stride + N_FRAMES

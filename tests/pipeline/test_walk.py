@@ -190,6 +190,94 @@ def test_a_profile_has_what_another_process_did(tmp_path: Path) -> None:
     assert profile.n_calls == {("read",): len(FRAMES), ("a",): 2 * len(FRAMES)}
 
 
+def finder(found: int, refutes_at: int | None) -> Stage:
+    """Finds a number, known at the end, when 0 is nothing.  refutes_at : the frame from which on it says that others
+    presume wrongly."""
+
+    def step(state: int, seen: Seen) -> tuple[int, Seen, Sequence[Row]]:
+        return state, replace(seen, is_refuted=refutes_at is not None and seen.frame >= refutes_at), ()
+
+    def has_found_nothing(job: Job) -> bool:
+        return dict(job.store.reader("a"))[0]["x"].tolist() == [0]
+
+    rows = [Row("a", 0, {"x": np.array([found])})]
+    work = FrameWork(clip, lambda job: 0, step, lambda state: Ending(rows))
+    return Stage("a", "pose", ("a",), work, lambda job: StageReport(), found_nothing=has_found_nothing)
+
+
+def presumer(log: list[tuple[str, int]], is_halved: bool) -> Stage:
+    """Adds what the stage before has found to the number of the frame."""
+
+    def start(job: Job) -> int:
+        return 0 if "a" in job.presumed else int(dict(job.store.reader("a"))[0]["x"][0])
+
+    def step(found: int, seen: Seen) -> tuple[int, Seen, Sequence[Row]]:
+        log.append(("first", seen.frame))
+        assert not seen.is_refuted
+        value = [np.array([seen.frame + found])]
+        rows = () if is_halved else [Row("b", seen.frame, {"x": value[0]})]
+        return found, replace(seen, masks=value, begun=value), rows
+
+    def then(found: int, seen: Seen) -> tuple[Seen, Sequence[Row]]:
+        log.append(("second", seen.frame))
+        return seen, [Row("b", seen.frame, {"x": seen.begun[0]})]
+
+    work = FrameWork(clip, start, step, lambda found: Ending(), ("masks",), then if is_halved else None)
+    return Stage("b", "pose", ("b",), work, lambda job: StageReport(), needs_whole=("a",))
+
+
+@pytest.mark.parametrize("n_threads", [1, 2, 5])
+@pytest.mark.parametrize("is_halved", [False, True])
+@pytest.mark.parametrize(
+    ("found", "refutes_at", "n_looked_at"),
+    [
+        (0, None, len(FRAMES)),
+        (7, None, 2 * len(FRAMES)),
+        (7, FRAMES[4], 4 + len(FRAMES)),
+        (0, FRAMES[4], 4 + len(FRAMES)),
+    ],
+)
+def test_who_presumes_that_nothing_is_found_walks_again_where_it_is_wrong(
+    tmp_path: Path, n_threads: int, is_halved: bool, found: int, refutes_at: int | None, n_looked_at: int
+) -> None:
+    log: list[tuple[str, int]] = []
+    said: list[tuple[str, int]] = []
+    own = job(tmp_path, n_threads=n_threads, progress=lambda name, done, _: said.append((name, done)))
+    stages = [finder(found, refutes_at), presumer(log, is_halved), toy("c")]
+    assert list(walks(stages)) == [tuple(stages)]
+    run_together([(stage, own) for stage in stages])
+    assert [half for half, _ in log].count("first") == n_looked_at
+    assert content(own.store, "b")[1] == {f: {"x": [f + found]} for f in FRAMES}
+    # Who stands behind it walks with it.
+    totals = np.cumsum([2 * (f + found) for f in FRAMES]).tolist()
+    assert content(own.store, "c")[1] == {
+        f: {"total": [t], "x": [2 * (f + found)]} for f, t in zip(FRAMES, totals, strict=True)
+    }
+    # What is passed on to another walk is no progress.
+    assert [done for name, done in said if name == "b"].count(len(FRAMES) - 1) == (
+        2 if n_looked_at == 2 * len(FRAMES) else 1
+    )
+    assert not list(own.store.path.glob(".*.partial"))
+
+
+def test_a_product_is_in_place_before_a_later_stage_of_the_walk_ends(tmp_path: Path) -> None:
+    """It may be asked for what is known at the end alone, and a later one that fails takes nothing away."""
+    own = job(tmp_path)
+
+    def fails(state: Any) -> Ending:
+        assert content(own.store, "a")[0] == {"walk": 1}
+        raise RuntimeError("a stage that ends badly")
+
+    last = toy("b")
+    assert isinstance(last.work, FrameWork)
+    last = replace(last, work=replace(last.work, finish=fails))
+    with pytest.raises(RuntimeError, match="ends badly"):
+        run_together([(toy("a", reads=clip), own), (last, own)])
+    assert is_done(toy("a"), own.store, "key")
+    assert not is_done(last, own.store, "key")
+    assert not list(own.store.path.glob(".*.partial"))
+
+
 def test_what_is_found_is_not_read_from_the_store(tmp_path: Path) -> None:
     own = job(tmp_path)
 
@@ -292,7 +380,9 @@ def test_stages_walk_together_until_one_needs_the_end_of_another() -> None:
     assert list(walks([a, c])) == [(a, c)]
     assert list(walks([])) == []
     names = [[stage.name for stage in together] for together in walks(CHAINS["voxels"])]
-    assert names == [["segment", "occluders"], ["carve", "track"], ["pose"]]
+    assert names == [["segment", "occluders", "carve", "track"], ["pose"]]
+    names = [[stage.name for stage in together] for together in walks(CHAINS["fused"])]
+    assert names == [["keypoints"], ["segment", "occluders", "carve", "track"], ["pose"]]
 
 
 def test_a_run_equals_its_stages_one_by_one(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -334,6 +424,7 @@ def test_stages_before_the_last_walk_report_beside_it(
         return walls_s
 
     stages = [telling(stage) for stage in stages_until("voxels", "track")]
+    stages[1] = replace(stages[1], found_nothing=None)  # it is waited for: there are two walks
     monkeypatch.setattr(run_module, "stages_until", lambda kind, until: stages)
     monkeypatch.setattr(run_module, "run_together", walked)
     config = load_config("default", PLAIN)
@@ -349,7 +440,7 @@ def test_stages_before_the_last_walk_report_beside_it(
 def test_a_run_goes_on_from_whatever_products_a_kill_has_left(
     lost: Sequence[str], tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Products of stages that walk together are put in place one after the other, the last stage's first."""
+    """Products of stages that walk together are put in place one after the other."""
     session = small_session(tmp_path_factory.getbasetemp())
     config, out = load_config("default", PLAIN), tmp_path / "out"
     run_session(session, out, config=config, until="track", n_threads=1)

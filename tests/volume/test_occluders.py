@@ -130,6 +130,19 @@ def test_a_cupboard_is_learnt_and_legs_behind_it_are_carved():
     assert surplus < 0.15 * whole
 
 
+def test_the_learner_knows_early_that_something_stands_there():
+    with_box, without = OccluderLearner(ring_rig(), ROOM), OccluderLearner(ring_rig(), ROOM)
+    has_found = []
+    for masks, complete in zip(clip(True), clip(False), strict=True):
+        with_box.add(masks_by_cells(masks))
+        without.add(masks_by_cells(complete))
+        has_found.append(with_box.has_found)
+        assert not without.has_found
+    assert not has_found[0]
+    assert has_found[N_FRAMES // 2]
+    assert has_found[-1]
+
+
 def test_a_map_begins_before_what_it_hides_and_not_before_the_camera():
     for i, camera in enumerate(ring_rig()):
         depth = learnt().of(camera)

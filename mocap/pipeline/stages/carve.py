@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +41,7 @@ from mocap.volume import (
     default_min_views,
     find_faults,
     find_late,
+    no_occluders,
     surface_voxels,
     usable_cameras,
 )
@@ -188,16 +188,14 @@ class _Walk:
     """One walk over the clip.
 
     monitor : looks for bad cameras among some of the rig, None = they are known.  faults : what earlier walks found.
-    left_out : those whose cameras do not take part.  guessed : cameras whose outlines are guesses, by which no
-    calibration is judged.  each : `map`, perhaps over threads.
+    left_out : those whose cameras do not take part.
     """
 
+    job: Job
     carving: _Carving
     monitor: ConsistencyMonitor | None
     faults: tuple[CameraFault, ...] = ()
     left_out: tuple[CameraFault, ...] = ()
-    guessed: tuple[str, ...] = ()
-    each: Callable[..., Iterable[Any]] = map
 
     def used(self, seen: Seen) -> NDArray[np.bool_]:
         """(C,) the cameras that take part in a frame."""
@@ -236,7 +234,9 @@ def _reads(job: Job) -> Sources:
 def _start(job: Job) -> _Walk:
     session, config = job.session, job.config
     try:
-        carving = _Carving(session, config, stored_occluders(job.store, session.rig))
+        is_clear = "occluders" in job.presumed
+        occluders = no_occluders() if is_clear else stored_occluders(job.store, session.rig)
+        carving = _Carving(session, config, occluders)
         k = faulty_views(session, config)
         if not 0 <= k < len(session.rig):
             raise ValueError(f"n_faulty_views is {k}, the rig has {len(session.rig)} cameras")
@@ -245,10 +245,8 @@ def _start(job: Job) -> _Walk:
             f"the volume cannot be carved: {error}",
             remedy="use larger voxels (volume.voxel_size_m), a smaller room (room_bounds_m) or fewer faulty views",
         ) from error
-    if config.volume.on_bad_camera == "ignore":
-        return _Walk(carving, None)
-    monitor = _monitor(carving, session.rig)
-    return _Walk(carving, monitor, guessed=never_empty(job.store), each=job.each)
+    is_judged = config.volume.on_bad_camera != "ignore"
+    return _Walk(job, carving, _monitor(carving, session.rig) if is_judged else None)
 
 
 def _monitor(carving: _Carving, rig: CameraRig) -> ConsistencyMonitor:
@@ -288,7 +286,8 @@ def _finish(walk: _Walk) -> Ending:
         return _ending(walk, walk.faults)
     session, config = walk.carving.session, walk.carving.config
     excludes = config.volume.on_bad_camera == "exclude"
-    found = find_faults(walk.monitor, walk.guessed, walk.each)
+    # By outlines that are guesses no calibration is judged.
+    found = find_faults(walk.monitor, never_empty(walk.job.store), walk.job.each)
     late = find_late(walk.monitor, found)
     faults = walk.faults + (late or found)
     left_out = faults if excludes else ()
@@ -393,9 +392,7 @@ CARVE = Stage(
     work=_WORK,
     report=carve_report,
     needs=("segment", "occluders"),
-    # Of the masks, which cameras are never without somebody. Both are there in a run that computes all; a kill may
-    # have left the second alone.
-    needs_whole=("segment", "occluders"),
+    needs_whole=("occluders",),
     sections=("volume",),
     facts=("room_bounds_m", "depth"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,17 +31,22 @@ _IDLE_SHARE, _FEW_FRAMES = 0.9, 5
 # say; of three, those of things reach far before and behind them (decisions 81 and 98).
 _FLOOR_TELLS = range(4, MANY_CAMERAS)
 _MOST_LOOKS = 600  # frames of a clip that are looked at; a clip of an hour costs no more than one of a minute
+# After so many looks it is asked whether anything stands there, so that others need not go on for nothing. It takes a
+# third of the time of a look; `dev:furnished` shows it by the fourth look.
+_LOOKS_TO_ASK = 15
 
 
 @dataclass(frozen=True, eq=False)
 class _Look:
     """Learning.  learner : None where nothing can be learnt.  scene : what depth cameras measure of the room, None
-    without them.  stride : every so many frames are looked at."""
+    without them.  stride : every so many frames are looked at.  has_found : whether something stands there, as far as
+    it was asked by now."""
 
     job: Job
     learner: OccluderLearner | None
     scene: StandingScene | None
     stride: int
+    has_found: bool = False
 
 
 def _reads(job: Job) -> Sources:
@@ -79,7 +84,9 @@ def _step(look: _Look, seen: Seen) -> tuple[_Look, Seen, Sequence[Row]]:
         look.learner.add(cells)
         if look.scene is not None and seen.depth is not None:
             look.scene.add(cells, seen.depth)
-    return look, seen, ()
+        if not look.has_found and (seen.index // look.stride) % _LOOKS_TO_ASK == _LOOKS_TO_ASK - 1:
+            look = replace(look, has_found=look.learner.has_found)
+    return look, replace(seen, is_refuted=look.has_found), ()
 
 
 def _finish(look: _Look) -> Ending:
@@ -131,4 +138,5 @@ OCCLUDERS = Stage(
     needs=("segment",),
     sections=("volume",),
     facts=("fps", "room_bounds_m", "depth"),
+    found_nothing=lambda job: stored_occluders(job.store, job.session.rig).is_empty,
 )
