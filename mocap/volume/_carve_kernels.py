@@ -527,42 +527,64 @@ def carve_blocks(blocks, large, tables, silhouettes, rule, grid_shape, out):
 
 
 @njit(cache=True, nogil=True)
-def unknown_voxels(blocks, counts16, tables, silhouettes, rule, room, out):
+def unknown_voxels(blocks, large, tables, silhouettes, rule, room, out):
     """Voxels of blocks of 16 that nobody speaks against and too few can judge; their number.
 
     They lie in the picture of min_views cameras, at most n_faulty_views vote background, fewer than min_votes
-    foreground, and at least one lies behind an occluder.  room : (grid_shape, lower, upper), (3,) each, subscripts of
-    the box that is asked for, upper exclusive.  out : linear indices.
+    foreground, and at least one lies behind an occluder. Blocks against which more cameras speak as a whole are dropped
+    as in `carve_blocks`.  room : (grid_shape, lower, upper), (3,) each, subscripts of the box that is asked for, upper
+    exclusive.  out : linear indices.
     """
     grid_shape, lower, upper = room
+    integrals, masks, mask_start = silhouettes.integrals, silhouettes.masks, silhouettes.mask_start
+    box16, all16, some16, _, counts16 = large
+    box8, all8, some8, _ = tables.eight
+    box4, all4, some4, _ = tables.four
     slot, table, n_seen, n_hidden = tables.slot, tables.pixels, tables.n_seen, tables.n_hidden
-    masks, mask_start = silhouettes.masks, silhouettes.mask_start
     ny, nz = grid_shape[1], grid_shape[2]
     n_cameras = table.shape[2]
+    everyone = (np.int64(1) << n_cameras) - 1
     n = 0
     for b16 in blocks:
+        d16, open16, m16 = judge((box16[b16], all16[b16], some16[b16]), integrals, everyone, 0, 0, rule)
+        if d16 == DROP:
+            continue
         t = slot[b16]
         x16, y16, z16 = place_of(b16, counts16)
-        for b in range(64):
-            for j in range(64):
-                seen, hidden = np.int64(n_seen[t, b, j]), np.int64(n_hidden[t, b, j])
-                if hidden == 0 or seen + hidden < rule.min_views:
+        for k in range(8):
+            d8, open8, m8 = judge((box8[t, k], all8[t, k], some8[t, k]), integrals, open16, m16, 0, rule)
+            if d8 == DROP:
+                continue
+            for i in range(8):
+                x4, y4, z4 = part_of_block(k, i)
+                b = (x4 * 4 + y4) * 4 + z4
+                most_hidden = np.uint8(0)
+                for j in range(64):
+                    most_hidden = max(most_hidden, n_hidden[t, b, j])
+                if most_hidden == 0:
                     continue
-                x = x16 * 16 + (b >> 4) * 4 + (j >> 4)
-                y = y16 * 16 + ((b >> 2) & 3) * 4 + ((j >> 2) & 3)
-                z = z16 * 16 + (b & 3) * 4 + (j & 3)
-                if x < lower[0] or y < lower[1] or z < lower[2]:
+                d4, _, _ = judge((box4[t, b], all4[t, b], some4[t, b]), integrals, open8, m8, 0, rule)
+                if d4 == DROP:
                     continue
-                if x >= upper[0] or y >= upper[1] or z >= upper[2]:
-                    continue
-                votes = 0
-                for c in range(n_cameras):
-                    pixel = np.int64(table[t, b, c, j])
-                    if pixel >= 0:
-                        votes += masks[np.uint64(mask_start[c] + pixel)]
-                if votes < rule.min_votes and seen - votes <= rule.n_faulty_views:
-                    out[n] = (x * ny + y) * nz + z
-                    n += 1
+                for j in range(64):
+                    seen, hidden = np.int64(n_seen[t, b, j]), np.int64(n_hidden[t, b, j])
+                    if hidden == 0 or seen + hidden < rule.min_views:
+                        continue
+                    x = x16 * 16 + x4 * 4 + (j >> 4)
+                    y = y16 * 16 + y4 * 4 + ((j >> 2) & 3)
+                    z = z16 * 16 + z4 * 4 + (j & 3)
+                    if x < lower[0] or y < lower[1] or z < lower[2]:
+                        continue
+                    if x >= upper[0] or y >= upper[1] or z >= upper[2]:
+                        continue
+                    votes = 0
+                    for c in range(n_cameras):
+                        pixel = np.int64(table[t, b, c, j])
+                        if pixel >= 0:
+                            votes += masks[np.uint64(mask_start[c] + pixel)]
+                    if votes < rule.min_votes and seen - votes <= rule.n_faulty_views:
+                        out[n] = (x * ny + y) * nz + z
+                        n += 1
     return n
 
 

@@ -417,10 +417,21 @@ class Carver:
             _carve_kernels.enclose_blocks(
                 lower, upper, parameters, width, height, c, box, sees_all, sees_some
             )
-            if self.occluders is not None and self.occluders.of(camera) is not None:
-                sees_all &= ~np.int64(1 << c)  # until the exact tables say which voxels are hidden
+            # Until the exact tables say which voxels are hidden.
+            sees_all[self._may_hide(camera, box[:, c])] &= ~np.int64(1 << c)
         high = np.bitwise_count(sees_some).astype(np.uint8)
         return _Level((counts[0], counts[1], counts[2]), box, sees_all, sees_some, high)
+
+    def _may_hide(self, camera: Camera, box: NDArray[np.int16]) -> NDArray[np.bool_]:
+        """Pixel boxes (B, 4), u0, u1, v0, v1, in which something stands at whatever depth, (B,)."""
+        depth_m = None if self.occluders is None else self.occluders.of(camera)
+        if self.occluders is None or depth_m is None:
+            return np.zeros(len(box), dtype=np.bool_)
+        n_standing = cv2.integral(np.isfinite(depth_m).view(np.uint8))
+        # What is left of the picture beside the last whole cell belongs to that.
+        last = np.array(depth_m.shape)[[1, 1, 0, 0]] - 1
+        u0, u1, v0, v1 = (np.clip(box // self.occluders.cell_px, 0, last) + [0, 1, 0, 1]).T
+        return n_standing[v1, u1] + n_standing[v0, u0] > n_standing[v0, u1] + n_standing[v1, u0]
 
     def _batches(self, blocks: NDArray[np.int32]) -> Iterator[NDArray[np.int32]]:
         """The blocks of 16 in groups whose tables are all there when a group is handed out."""
@@ -571,15 +582,17 @@ class Carver:
         if self.occluders is None or np.any(lower >= upper):
             return np.zeros(0, dtype=np.int32)
         self._load(masks, 0)
-        counts = self._large.counts
-        axes = [np.arange(lo // 16, -(-hi // 16)) for lo, hi in zip(lower, upper, strict=True)]
-        blocks = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), counts).ravel().astype(np.int32)
+        large, silhouettes = self._large.blocks, self._silhouettes
+        blocks = np.empty(len(large.high), dtype=np.int32)
+        n = _carve_kernels.survey(
+            self._huge.blocks, large, silhouettes.integrals, rule._replace(min_votes=0), blocks
+        )
+        corner = 16 * np.stack(np.unravel_index(blocks[:n], self._large.counts), axis=1)
+        blocks = blocks[:n][((corner < upper) & (corner + 16 > lower)).all(axis=1)]
         room, found = (np.array(self.grid.shape), lower, upper), []
         for group in self._batches(blocks):
             out = np.empty(4096 * len(group), dtype=np.int32)
-            n = _carve_kernels.unknown_voxels(
-                group, np.array(counts), self._tables, self._silhouettes, rule, room, out
-            )
+            n = _carve_kernels.unknown_voxels(group, large, self._tables, self._silhouettes, rule, room, out)
             found.append(out[:n].copy())
         return np.sort(np.concatenate(found))
 

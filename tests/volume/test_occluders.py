@@ -371,13 +371,17 @@ def test_two_cameras_learn_nothing():
 
 
 def random_occluders(rig: CameraRig, rng: np.random.Generator) -> Occluders:
-    """Rectangles at random depths in most pictures."""
+    """Rectangles at random depths in most pictures, which may have pixels left over beside the last cell."""
     maps = {}
     for camera in rig:
-        w, h = -(-camera.size[0] // 4), -(-camera.size[1] // 4)
+        left_over = rng.integers(0, 2)
+        w, h = ((n + 3 * (1 - left_over)) // 4 for n in camera.size)
         depth = np.full((h, w), np.inf, dtype=np.float32)
         if rng.random() < 0.8:
-            depth[: rng.integers(1, h + 1), rng.integers(0, w) :] = rng.uniform(0.3, 2.5)
+            (v0, v1), (u0, u1) = (np.sort(rng.integers(0, n + 1, 2)) for n in (h, w))
+            v0, u0 = (0 if rng.random() < 0.5 else n for n in (v0, u0))
+            v1, u1 = (m if rng.random() < 0.5 else n for m, n in ((h, v1), (w, u1)))
+            depth[v0:v1, u0:u1] = rng.uniform(0.3, 2.5)
         maps[camera.name] = depth
     return Occluders(maps, 4)
 
@@ -410,6 +414,29 @@ def test_abstention_takes_no_voxel_away_but_makes_it_unknown(seed):
     unknown = unknown_bruteforce(rig, grid, masks, occluders, n_faulty_views=0)
     assert len(np.intersect1d(aware, unknown)) == 0
     assert len(np.setdiff1d(plain, np.union1d(aware, unknown))) == 0
+
+
+def test_a_box_of_pixels_may_be_hidden_where_one_of_its_pixels_may():
+    rig, grid, _ = hard_scene(3)
+    camera = rig[0]
+    (width, height), cell = camera.size, 16
+    assert width % cell
+    assert height % cell
+    depth = np.full((height // cell, width // cell), np.inf, dtype=np.float32)
+    depth[-1, -1], depth[0, 1] = 1.0, 2.0
+    carver = Carver(rig, grid, occluders=Occluders({camera.name: depth}, cell))
+    v, u = (
+        np.minimum(np.arange(n) // cell, m - 1) for n, m in zip((height, width), depth.shape, strict=True)
+    )
+    by_pixel = np.isfinite(depth[np.ix_(v, u)])
+    rng = np.random.default_rng(0)
+    boxes = [*(np.sort(rng.integers(0, n, (400, 2)), axis=1) for n in (width, height))]
+    narrow = np.array([[width - 1, width - 1, height - 1, height - 1], [0, 0, height - 1, height - 1]])
+    boxes = np.concatenate([np.hstack(boxes), narrow]).astype(np.int16)
+    expected = [by_pixel[v0 : v1 + 1, u0 : u1 + 1].any() for u0, u1, v0, v1 in boxes]
+    np.testing.assert_array_equal(carver._may_hide(camera, boxes), expected)
+    assert 0 < np.mean(expected) < 1
+    assert not carver._may_hide(rig[1], boxes).any()
 
 
 def test_no_occluders_is_the_same_as_empty_ones():
