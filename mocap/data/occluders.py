@@ -43,11 +43,16 @@ class Occluders:
 
     def hides(self, camera: Camera, points_world: Array) -> NDArray[np.bool_]:
         """Whether points (N, 3) m lie behind something in this camera, (N,) bool; False outside its picture."""
-        is_hidden = np.zeros(len(points_world), dtype=np.bool_)
+        if self.of(camera) is None:
+            return np.zeros(len(points_world), dtype=np.bool_)
+        return self.hides_at(camera, *camera.project(points_world))
+
+    def hides_at(self, camera: Camera, uv: Array, depth: Array) -> NDArray[np.bool_]:
+        """The same for points of which it is known where they are in the picture, (N, 2) px, and how deep, (N,) m."""
+        is_hidden = np.zeros(len(uv), dtype=np.bool_)
         own = self.of(camera)
         if own is None:
             return is_hidden
-        uv, depth = camera.project(points_world)
         inside = camera.contains(uv)
         cell = np.floor(uv[inside] + 0.5).astype(np.int64) // self.cell_px
         cell = np.clip(cell, 0, np.array(own.shape[::-1]) - 1)

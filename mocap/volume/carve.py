@@ -430,7 +430,7 @@ class Carver:
         n_standing = cv2.integral(np.isfinite(depth_m).view(np.uint8))
         # What is left of the picture beside the last whole cell belongs to that.
         last = np.array(depth_m.shape)[[1, 1, 0, 0]] - 1
-        u0, u1, v0, v1 = (np.clip(box // self.occluders.cell_px, 0, last) + [0, 1, 0, 1]).T
+        u0, u1, v0, v1 = (np.clip(box // self.occluders.cell_px, 0, last) + np.array([0, 1, 0, 1])).T
         return n_standing[v1, u1] + n_standing[v0, u0] > n_standing[v0, u1] + n_standing[v1, u0]
 
     def _batches(self, blocks: NDArray[np.int32]) -> Iterator[NDArray[np.int32]]:

@@ -173,13 +173,15 @@ class _World:
         self._inside: list[list[NDArray[np.float32] | None]] = list(
             each(lambda s: [None if m is None else _depth_inside(m) for m in s.masks], samples)
         )
-        for sample, inside in (
-            zip(samples, self._inside, strict=True) if self.is_furnished and len(rig) >= _MANY else ()
-        ):
-            cut = [self._cut_outline(sample, inside, c) for c in range(len(rig))]
-            for own, at in zip(inside, cut, strict=True):
-                if own is not None and at is not None:
-                    own[_nearest_of(at[0], at[1], own.shape) & (own < 0)] = np.inf
+        if self.is_furnished and len(rig) >= _MANY:
+            list(each(self._leave_out_cuts, samples, self._inside))
+
+    def _leave_out_cuts(self, sample: MaskSample, inside: Sequence[NDArray[np.float32] | None]) -> None:
+        """A camera does not judge beyond where something cuts its outline off: inf into its distances, in place."""
+        cut = [self._cut_outline(sample, inside, c) for c in range(len(self.rig))]
+        for own, at in zip(inside, cut, strict=True):
+            if own is not None and at is not None:
+                own[_nearest_of(at[0], at[1], own.shape) & (own < 0)] = np.inf
 
     @property
     def is_furnished(self) -> bool:
@@ -466,7 +468,7 @@ def _clearance(
     """How far points (N, 3) m lie inside the mask of a camera, (N,) m, inf where it does not judge."""
     uv, depth = camera.project(points)
     is_hidden = (
-        np.zeros(len(points), dtype=np.bool_) if occluders is None else occluders.hides(camera, points)
+        np.zeros(len(points), dtype=np.bool_) if occluders is None else occluders.hides_at(camera, uv, depth)
     )
     out = np.empty(len(points), dtype=np.float32)
     focal = float(0.5 * (camera.K[0, 0] + camera.K[1, 1]))
