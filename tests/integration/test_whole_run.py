@@ -22,6 +22,7 @@ from mocap.data import ALL_LANDMARKS, LANDMARKS
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.io.tables import read_landmarks_csv, read_tracks_csv
+from mocap.pipeline.chains import CHAINS
 from mocap.pipeline.config import Config, load_config
 from mocap.pipeline.figures import errors_by_person
 from mocap.pipeline.keys import stage_keys
@@ -375,19 +376,26 @@ def test_killed_in_a_stage(
     assert files_of(resumed.out) == files_of(whole.out)
 
 
-def test_killed_in_a_fresh_folder(plain: RunResult, masks_session: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("stage", "kept"), [("carve", ()), ("pose", ("segment", "occluders", "carve", "track"))]
+)
+def test_killed_in_a_fresh_folder(
+    plain: RunResult, masks_session: Path, tmp_path: Path, stage: str, kept: tuple[str, ...]
+) -> None:
+    """Stages that walk together are kept together."""
     out = tmp_path / "out"
 
     def interrupt(name: str, done: int, total: int) -> None:
-        if name == "carve" and done == 5:
+        if name == stage and done == 5:
             raise Killed
 
     with pytest.raises(Killed):
         run_session(masks_session, out, config=plain_config(), seed=SEED, progress=interrupt)
     assert [p.name for p in out.iterdir()] == ["store.zarr"]
-    assert {p.name for p in (out / "store.zarr").iterdir() if p.is_dir()} == {"empty", "occluders", "segment"}
+    products = {product for s in CHAINS["voxels"] if s.name in kept for product in s.products}
+    assert {p.name for p in (out / "store.zarr").iterdir() if p.is_dir()} == products
     resumed = run_session(masks_session, out, config=plain_config(), seed=SEED, resume=True)
-    assert resumed.reused == ("segment", "occluders")
+    assert resumed.reused == kept
     assert files_of(out) == files_of(plain.out)
 
 

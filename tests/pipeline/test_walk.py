@@ -382,7 +382,7 @@ def test_stages_walk_together_until_one_needs_the_end_of_another() -> None:
     names = [[stage.name for stage in together] for together in walks(CHAINS["voxels"])]
     assert names == [["segment", "occluders", "carve", "track"], ["pose"]]
     names = [[stage.name for stage in together] for together in walks(CHAINS["fused"])]
-    assert names == [["keypoints"], ["segment", "occluders", "carve", "track"], ["pose"]]
+    assert names == [["keypoints"], ["segment", "occluders"], ["carve", "track"], ["pose"]]
 
 
 def test_a_run_equals_its_stages_one_by_one(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -30,5 +30,7 @@ FUSED_CARVE = replace(
     work=replace(_ALONE, reads=_reads),
     report=fused_carve_report,
     needs=("segment", "occluders", "keypoints"),
+    # Whom keypoints know is told by the masks of the whole clip.
+    needs_whole=("segment", "occluders"),
     facts=("fps", "room_bounds_m", "depth"),
 )
