@@ -12,12 +12,12 @@ from mocap.arrays import Array
 from mocap.body.kinematics import cones_of, neutral_state
 from mocap.body.model import Body
 
-# A hull whose top stays below this is a child, or a person who sits, crouches or lies: unless it is as slender as
-# somebody who stands, no height can be read from it.
+# A hull whose top stays below this is a child, or a person who sits, crouches or lies: poses tell, its shape does not.
 LOWEST_STANDING_TOP_M = 1.45
 _LOWEST_CHILD_TOP_M = 0.7
 _RISEN = 1.05  # heads of who walks or bends now and then differ by less from frame to frame
-# Volume over top cubed: 0.017 to 0.027 for hulls of people who stand, children too; 0.042 and more for people who sit.
+# Volume over top cubed: 0.017 to 0.027 for hulls of people who stand; 0.042 and more for people who sit, unless the
+# chair hides parts of them.
 _SLENDER = 0.032
 _FEET_M = 0.15  # a hull that begins higher above the floor is cut off, by a table perhaps
 HIGHEST_STANDING_TOP_M = 2.20
@@ -113,10 +113,14 @@ N_KINDS = len(_POSES)  # of starting poses, each in all directions
 
 @dataclass(frozen=True)
 class HeightEstimate:
-    """Standing height, m, and whether it was read from the hull (False: the default was taken)."""
+    """Standing height, m, and whether it was read from the hull (False: the default was taken).
+
+    low_m : of a hull too low for that, the height that the person has if he stands: a child. None otherwise.
+    """
 
     height_m: float
     is_measured: bool
+    low_m: float | None = None
 
 
 def head_top(centers: Array, voxel_size_m: float) -> float:
@@ -178,7 +182,7 @@ def height_from_tops(
     tops_m : (T,) upper face of the highest voxel, m; NaN where the person was not seen. The 90th percentile is taken,
     because a walking person is at full height only in mid-stance and a speck may ride above the head, less
     half a voxel, the mean excess of a hull whose voxels count when their centre is inside.
-    upright : (T,) of `is_upright`; a top as low as a child's counts as a height when most of the frames near it are.
+    upright : (T,) of `is_upright`; who is so in some frames, and taller there, lies or sits in the others.
     Source: CF 6.3.4 (limb lengths proportional to the height, which comes from the volume).
     """
     tops = np.asarray(tops_m, dtype=np.float64)
@@ -191,12 +195,11 @@ def height_from_tops(
         standing = float(np.quantile(tops[stands], 0.9))
         if standing > _RISEN * top:
             top = standing  # he lies or sits for most of the time
-    lowest = LOWEST_STANDING_TOP_M
-    if upright is not None and upright[is_seen & (tops > 0.95 * top)].mean() > 0.5:
-        lowest = _LOWEST_CHILD_TOP_M
-    if not lowest <= top <= HIGHEST_STANDING_TOP_M:
-        return HeightEstimate(DEFAULT_HEIGHT_M, False)
-    return HeightEstimate(top - 0.5 * voxel_size_m, True)
+    height_m = top - 0.5 * voxel_size_m
+    if LOWEST_STANDING_TOP_M <= top <= HIGHEST_STANDING_TOP_M:
+        return HeightEstimate(height_m, True)
+    is_low = _LOWEST_CHILD_TOP_M <= top < LOWEST_STANDING_TOP_M
+    return HeightEstimate(DEFAULT_HEIGHT_M, False, height_m if is_low else None)
 
 
 def is_low(centers: Array, body: Body) -> bool:

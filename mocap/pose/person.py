@@ -72,8 +72,21 @@ def start_person(
 ) -> Start:
     """First pose and size of one person; the arguments and errors are those of `follow_person`.
 
-    With more threads than one it forks: see `in_processes` for where it may be called.
+    Of a hull that is lower than grown-up people stand both are tried, somebody who sits or crouches and a child who
+    stands. With more threads than one it forks: see `in_processes` for where it may be called.
     """
+    usual = _started(clip, replace(height, low_m=None), seed=seed, is_size_fitted=is_size_fitted)
+    if height.low_m is None:
+        return usual
+    tools = clip.observation.tools
+    small = clip.with_tools(tools.resized(height.low_m / tools.body.height_m))
+    child = _started(small, HeightEstimate(height.low_m, True), seed=seed, is_size_fitted=is_size_fitted)
+    gain = child.first.log_likelihood - usual.first.log_likelihood
+    return child if gain > tools.settings.method.start.child_nats else usual
+
+
+def _started(clip: VolumeClip, height: HeightEstimate, *, seed: int, is_size_fitted: bool) -> Start:
+    """First pose and size of somebody of whom it is known, or presumed, how tall he is."""
     followed, frames = clip.observation.tools, clip.frames
     tools = followed.without_floor  # a foot that is lifted explains outlines less well than one that is lost
     usable = [i for i in range(len(clip)) if clip.observation.is_usable(int(frames[i]))]

@@ -204,7 +204,7 @@ def test_standing_height_from_tops() -> None:
         assert guess.height_m == DEFAULT_HEIGHT_M
 
 
-def test_a_child_who_stands_is_told_from_an_adult_who_sits_or_is_cut_off() -> None:
+def test_who_stands_is_slender_and_reaches_the_floor() -> None:
     """A hull is a voxel wider than the body, so the flesh here is made with that margin."""
     child, adult = make_flesh("anthropometric", 1.15, 0.02), make_flesh("anthropometric", 1.72, 0.02)
     small = child.grid.centers(child.hull(neutral_state(child.body), margin_m=0.02).voxels)
@@ -222,12 +222,17 @@ def test_a_child_who_stands_is_told_from_an_adult_who_sits_or_is_cut_off() -> No
     assert not is_upright(np.zeros((0, 3)), 0.02)
 
 
-def test_low_tops_count_only_when_the_frames_near_them_are_upright() -> None:
+def test_a_low_top_is_a_childs_height_or_nobodys() -> None:
     tops = np.array([np.nan, 0.8, 1.16, 1.18, 1.2, 1.2])
-    for upright, is_measured in (([0, 0, 1, 1, 1, 1], True), ([1, 1, 0, 0, 1, 0], False)):
-        estimate = height_from_tops(tops, 0.02, np.array(upright, dtype=np.bool_))
-        assert estimate.is_measured == is_measured
-        assert estimate.height_m == pytest.approx(1.19 if is_measured else DEFAULT_HEIGHT_M)
+    for upright in (None, np.array([0, 0, 1, 1, 1, 1], dtype=np.bool_), np.zeros(6, dtype=np.bool_)):
+        estimate = height_from_tops(tops, 0.02, upright)
+        assert not estimate.is_measured
+        assert estimate.height_m == DEFAULT_HEIGHT_M
+        assert estimate.low_m == pytest.approx(1.19)
+    for top, low_m in ((0.69, None), (0.71, 0.7), (1.44, 1.43), (1.46, None), (2.21, None)):
+        estimate = height_from_tops(np.full(5, top), 0.02)
+        assert estimate.low_m == (None if low_m is None else pytest.approx(low_m))
+        assert estimate.is_measured == (top == 1.46)
 
 
 def test_who_stands_in_few_frames_is_as_tall_as_he_stands_there() -> None:

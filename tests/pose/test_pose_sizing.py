@@ -1,20 +1,22 @@
 """The size of a person from refined poses: where a cost is lowest, and bodies of another size than the model."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from flesh_voxels import make_flesh, rasterise
 from marker_world import marching
 
-from mocap.body import landmarks_of, neutral_state
-from mocap.body.initial import HeightEstimate
+from mocap.body import candidate_states, landmarks_of, neutral_state
+from mocap.body.initial import DEFAULT_HEIGHT_M, HeightEstimate
 from mocap.body.stretch import lengths_of, resize_body, stretch_body
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose import person
 from mocap.pose.size import _lowest, fit_size
-from mocap.pose.volume import PersonHull, VolumeEvidence, VolumeObservation, VolumeTools
+from mocap.pose.volume import PersonHull, VolumeEvidence, VolumeObservation, VolumeTools, estimate_height
 from mocap.volume import surface_voxels
 
 HEIGHT_M = 1.7
@@ -205,3 +207,51 @@ def test_first_poses_and_sizes_are_looked_for_without_the_floor(monkeypatch: pyt
     assert start.tools.surface_fit == clip.observation.tools.surface_fit
     assert start.tools.surface_fit.floor_gain > 0
     assert start.tools.body.height_m != HEIGHT_M  # and the body is the one that was fitted
+
+
+@pytest.mark.parametrize(("height_m", "pose"), [(1.2, "stand"), (1.72, "sit")])
+def test_poses_tell_a_child_who_stands_from_somebody_who_sits(height_m: float, pose: str) -> None:
+    """The volume of either ends at 1.2 to 1.3 m."""
+    flesh = make_flesh("anthropometric", height_m, VOXEL_M)
+    standing = flesh.grid.centers(flesh.hull(neutral_state(flesh.body)).voxels)
+    states, labels = candidate_states(flesh.body, standing, np.zeros(1))
+    state = states[labels.index(pose)]
+    hull = rasterise(flesh.body, flesh.grid, state, margin_m=VOXEL_M)
+    bottom = flesh.grid.centers(hull.voxels)[:, 2].min()
+    state[2] -= bottom - 0.5 * VOXEL_M
+    hull = rasterise(flesh.body, flesh.grid, state, margin_m=VOXEL_M)
+    estimate = estimate_height(flesh.grid, lambda _: hull, range(2))
+    assert not estimate.is_measured
+    assert estimate.low_m is not None
+    assert 1.15 < estimate.low_m < 1.4
+    quick = PoseConfig(n_start_frames=1, n_first_poses=3, n_layers=3, n_particles=80)
+    made = make_tools(flesh.grid, 12.5, estimate.height_m, "anthropometric", quick, LikelihoodConfig(), 1)
+    clip = person.VolumeClip(
+        1, np.arange(2), np.tile(state[:3], (2, 1)), VolumeObservation(made, lambda _: hull)
+    )
+    start = person.start_person(clip, estimate, seed=0)
+    assert start.height.is_measured == (pose == "stand")
+    assert start.tools.body.height_m == pytest.approx(height_m, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("gain", "low_m", "is_child"), [(61.0, 1.2, True), (59.0, 1.2, False), (99.0, None, False)]
+)
+def test_a_child_must_explain_a_low_volume_clearly_better(
+    gain: float, low_m: float | None, is_child: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = []
+
+    def started(clip: person.VolumeClip, height: HeightEstimate, **_: Any) -> Any:
+        tried.append((height, clip.observation.tools.body.height_m))
+        value = -100.0 + (gain if height.is_measured else 0.0)
+        return SimpleNamespace(height=height, first=SimpleNamespace(log_likelihood=value))
+
+    monkeypatch.setattr(person, "_started", started)
+    state = neutral_state(FLESH.body)
+    clip = quick_clip(state, rasterise(FLESH.body, FLESH.grid, state))
+    start = person.start_person(clip, HeightEstimate(DEFAULT_HEIGHT_M, False, low_m), seed=0)
+    usual, child = HeightEstimate(DEFAULT_HEIGHT_M, False), HeightEstimate(1.2, True)
+    assert start.height == (child if is_child else usual)
+    assert [height for height, _ in tried] == ([usual] if low_m is None else [usual, child])
+    assert [size for _, size in tried] == pytest.approx([HEIGHT_M, 1.2][: len(tried)])
