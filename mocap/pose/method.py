@@ -84,7 +84,8 @@ class StartSettings(_Strict):
     does: who sits says less of how large he is, and a chair may be one with him (decision 92)."""
     child_nats: float = 60.0
     """By so much more a first pose of a child who stands must explain a low volume than one of somebody who sits or
-    crouches in it. Seven children gained 220 to 357, eleven people who sit lost 172 to gained 27 (decision 110)."""
+    crouches in it. Seven children gained 220 to 357, twelve people who sit or crouch lost 172 to gained 27
+    (decision 110)."""
     n_directions: int = 16
     """Directions that each kind of pose is tried in."""
     n_copies: int = 8
