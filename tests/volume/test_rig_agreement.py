@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from eval.bench.scene import person_mask, ring
-from mocap.data import Camera, CameraRig, VoxelGrid
+from mocap.data import Camera, CameraRig, Occluders, VoxelGrid
 from mocap.volume import CameraFault, ConsistencyMonitor, find_misfits
 from mocap.volume import _kernels as kernels
-from mocap.volume.rig_agreement import AgreementSettings, MaskSample, _clearance, rig_agreement
+from mocap.volume.rig_agreement import AgreementSettings, MaskSample, _clearance, _World, rig_agreement
 
 C, SIZE, N = 7, (320, 240), 6
 RIG = ring(C, SIZE)
@@ -155,6 +155,30 @@ def test_a_camera_from_which_something_hides_a_leg_stands_where_it_should(
     # A camera that is turned as well is named all the same.
     turned = rig_agreement(rig_with({2: ((0.0, 1.0, 0.0), STILL)}), cut)
     assert list(turned.misfits) == ["cam_2"]
+
+
+def test_among_furniture_a_camera_does_not_judge_beyond_a_cut_of_its_outline() -> None:
+    whole = samples()[:3]
+    cut = [
+        replace(
+            s, masks=[without_a_leg(m, 0.5, is_left=True) if c == 2 else m for c, m in enumerate(s.masks)]
+        )
+        for s in whole
+    ]
+    depth = np.full((SIZE[1] // 4, SIZE[0] // 4), np.inf, dtype=np.float32)
+    depth[:3, :3] = 1.0  # anywhere: the room has furniture
+    furniture = Occluders({"cam_2": depth}, 4)
+    settings = AgreementSettings()
+    (plain, furnished) = (_World(RIG, cut, known, settings, map)._inside for known in (None, furniture))
+    for s, before, after in zip(whole, plain, furnished, strict=True):
+        gone = s.masks[2] & np.isfinite(before[2]) & (before[2] < 0)  # the leg
+        assert np.count_nonzero(gone) > 100
+        assert np.isinf(after[2][gone]).mean() > 0.9
+        for own, left in zip(before, after, strict=True):
+            assert np.isfinite(own).all()
+            judged = np.isfinite(left)
+            assert judged[own > 0].all()  # inside a mask somebody is, whatever hides the rest of him
+            np.testing.assert_array_equal(left[judged], own[judged])
 
 
 def test_without_masks_nothing_is_said() -> None:
