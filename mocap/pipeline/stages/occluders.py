@@ -31,8 +31,8 @@ _IDLE_SHARE, _FEW_FRAMES = 0.9, 5
 # say; of three, those of things reach far before and behind them (decisions 81 and 98).
 _FLOOR_TELLS = range(4, MANY_CAMERAS)
 _MOST_LOOKS = 600  # frames of a clip that are looked at; a clip of an hour costs no more than one of a minute
-# After so many looks it is asked whether anything stands there, so that others need not go on for nothing. It takes a
-# third of the time of a look; `dev:furnished` shows it by the fourth look.
+# After so many looks it is asked whether anything stands there, so that others need not go on for nothing. It takes as
+# long as a look, 7 to 9 ms by hand; `dev:furnished` shows it by the fourth look.
 _LOOKS_TO_ASK = 15
 
 
