@@ -198,8 +198,8 @@ def height_from_tops(
     height_m = top - 0.5 * voxel_size_m
     if LOWEST_STANDING_TOP_M <= top <= HIGHEST_STANDING_TOP_M:
         return HeightEstimate(height_m, True)
-    is_low = _LOWEST_CHILD_TOP_M <= top < LOWEST_STANDING_TOP_M
-    return HeightEstimate(DEFAULT_HEIGHT_M, False, height_m if is_low else None)
+    may_be_child = _LOWEST_CHILD_TOP_M <= top < LOWEST_STANDING_TOP_M
+    return HeightEstimate(DEFAULT_HEIGHT_M, False, height_m if may_be_child else None)
 
 
 def is_low(centers: Array, body: Body) -> bool:
