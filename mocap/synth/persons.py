@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from mocap.synth.body import Body
+    from mocap.synth.carried import Carried
     from mocap.synth.looks import Look
     from mocap.synth.rooms import Room
 
@@ -251,6 +252,15 @@ class Colours(Section):
     shoes: Colour | None = None
 
 
+class Load(Section):
+    """Something that a person carries."""
+
+    kind: Literal["stick", "racket", "bag", "rucksack"]
+    hand: Literal["left", "right"] = "right"
+    """That holds it; a rucksack is on the back."""
+    colour: Colour = (90.0, 60.0, 40.0)
+
+
 class Person(Section):
     """One person; what is not given is drawn from the seed."""
 
@@ -271,6 +281,7 @@ class Person(Section):
     sleeves: Literal["short", "long"] | None = None
     stripes_m: float | None = Field(None, ge=0.0, le=0.5)
     """Period of the shirt's stripes; 0 = plain."""
+    carries: tuple[Load, ...] = ()
     motion: Annotated[AnyMotion, Field(discriminator="kind")]
 
     @model_validator(mode="after")
@@ -317,6 +328,13 @@ def cast(person: Person, room: Room, rng_of: Callable[[int], np.random.Generator
     colours = {n: _linear(c, room) for n, c in person.colours if c is not None}
     look = make_look(rng=rng_of(5), sex=sex, clothes=person.clothes, colours=colours)
     return body, look.cut(person.sleeves, person.stripes_m)
+
+
+def loads_of(person: Person, room: Room, body: Body) -> tuple[Carried, ...]:
+    """What a person carries, on its body."""
+    from mocap.synth.carried import carried
+
+    return tuple(carried(x.kind, x.hand, body.figure, _linear(x.colour, room)) for x in person.carries)
 
 
 def _size(person: Person, sex: str, rng: np.random.Generator) -> tuple[float, float]:

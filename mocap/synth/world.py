@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.synth.body import Body
+from mocap.synth.carried import Carried
 from mocap.synth.faults import Timeline, moved_cameras, room_faults, timeline
 from mocap.synth.figure import JOINT, forward_kinematics, landmarks_of
 from mocap.synth.furniture import furniture_boxes
 from mocap.synth.looks import Look
 from mocap.synth.markers import BallLook, Balls, Markers, marker_spots, place_markers
 from mocap.synth.motions import MOTIONS, Pose
-from mocap.synth.persons import Person, cast
+from mocap.synth.persons import Person, cast, loads_of
 from mocap.synth.render import Paint, PosedScene, Thing, posed_scene
 from mocap.synth.rigs import make_rig
 from mocap.synth.rooms import Room, box_corners, make_room
@@ -44,6 +45,7 @@ class Actor:
     landmarks: Array
     lead: int = 0
     markers: Markers | None = None
+    loads: tuple[Carried, ...] = ()
 
     def joints(self, instant: float) -> tuple[Array, Array]:
         """Positions (J, 3) m and rotations (J, 3, 3) at an instant, in frames of the session.
@@ -133,17 +135,28 @@ class World:
 
     @cached_property
     def things(self) -> tuple[Thing, ...]:
-        """All that is rendered: the bodies of the persons, then their balls in the same order."""
-        return (*self.bodies, *self.balls)
+        """All that is rendered: the bodies of the persons, then their balls in the same order, then what they carry."""
+        return (*self.bodies, *self.balls, *self._loads)
+
+    @property
+    def _loads(self) -> tuple[Carried, ...]:
+        return tuple(load for a in self.actors for load in a.loads)
+
+    @cached_property
+    def _owners(self) -> tuple[int, ...]:
+        """The person of each thing, an index."""
+        P = len(self.actors)
+        loads = (i for i, a in enumerate(self.actors) for _ in a.loads)
+        return (*range(P), *range(len(self.balls)), *loads)
 
     @cached_property
     def looks(self) -> tuple[Paint, ...]:
         """The colours of the things."""
-        return (*(a.look for a in self.actors), *(BallLook() for _ in self.balls))
+        return (*(a.look for a in self.actors), *(BallLook() for _ in self.balls), *self._loads)
 
     def owner_of_thing(self, posed: PosedScene, face: int) -> int:
         """Index of the person that a face of the posed scene belongs to, -1 for none."""
-        return -1 if face < 0 else self._thing_of_face(posed, face)[0] % len(self.actors)
+        return -1 if face < 0 else self._owners[self._thing_of_face(posed, face)[0]]
 
     def ball_of_face(self, posed: PosedScene, face: int) -> int:
         """Index of the marker whose ball a face of the posed scene belongs to, -1 for none."""
@@ -151,7 +164,7 @@ class World:
             return -1
         thing, vertex = self._thing_of_face(posed, face)
         k = thing - len(self.actors)
-        return -1 if k < 0 else vertex // self.balls[k].n_vertices_each
+        return vertex // self.balls[k].n_vertices_each if 0 <= k < len(self.balls) else -1
 
     def _thing_of_face(self, posed: PosedScene, face: int) -> tuple[int, int]:
         """The thing that a face belongs to, and its first vertex within the thing."""
@@ -166,6 +179,9 @@ class World:
         for k, balls in enumerate(self.balls):
             if k in posed:
                 posed[len(self.actors) + k] = balls.pose(balls.markers.positions(*posed[k]))
+        for k, load in enumerate(self._loads, start=len(self.actors) + len(self.balls)):
+            if (owner := self._owners[k]) in posed:
+                posed[k] = load.pose(*self.actors[owner].joints(instant))
         return posed_scene(
             tuple(self.things[i] for i in posed),
             list(posed.values()),
@@ -222,4 +238,5 @@ def _actor(
     position, rotation = forward_kinematics(body.figure.offsets, pose.rotations, pose.root_position)
     landmarks = landmarks_of(body.figure, position, rotation)[lead : lead + scene.n_frames]
     markers = None if scene.markers is None else place_markers(body, scene.markers.radius_m)
-    return Actor(number, body, look, pose, position, rotation, landmarks, lead, markers)
+    loads = loads_of(person, room, body)
+    return Actor(number, body, look, pose, position, rotation, landmarks, lead, markers, loads)
