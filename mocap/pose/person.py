@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate, head_top, is_low
+from mocap.body.model import Cones
 from mocap.forks import in_processes, shared_zeros
 from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
 from mocap.pose.evidence import FrameEvidence, PersonClip
 from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, on_threads, unbroken
 from mocap.pose.limbs import in_doubt
+from mocap.pose.load import bare, find_load, laden
 from mocap.pose.repair import EvidenceOf, repair_limbs
 from mocap.pose.result import FollowedPerson, PersonPoses, warnings_of_volumes
 from mocap.pose.size import fit_size
@@ -73,7 +75,7 @@ def start_person(
     """First pose and size of one person; the arguments and errors are those of `follow_person`.
 
     Of a hull that is lower than grown-up people stand both are tried, somebody who sits or crouches and a child who
-    stands. With more threads than one it forks: see `in_processes` for where it may be called.
+    stands; who walks does not sit. With more threads than one it forks: see `in_processes` for where it may be called.
     """
     usual = _started(clip, replace(height, low_m=None), seed=seed, is_size_fitted=is_size_fitted)
     if height.low_m is None:
@@ -82,7 +84,9 @@ def start_person(
     small = clip.with_tools(tools.resized(height.low_m / tools.body.height_m))
     child = _started(small, HeightEstimate(height.low_m, True), seed=seed, is_size_fitted=is_size_fitted)
     gain = child.first.log_likelihood - usual.first.log_likelihood
-    return child if gain > tools.settings.method.start.child_nats else usual
+    numbers, row = tools.settings.method.start, int(np.searchsorted(clip.frames, usual.first.frame))
+    is_walking = heading_of(walking_velocity(clip, row, numbers), numbers) is not None
+    return child if gain > (0.0 if is_walking else numbers.child_nats) else usual
 
 
 def _started(clip: VolumeClip, height: HeightEstimate, *, seed: int, is_size_fitted: bool) -> Start:
@@ -279,6 +283,43 @@ def follow_frames(
     besides, and he is followed once more.
     Raises ValueError when no frame has a usable hull.
     """
+    followed = _follow_body(clip, height, seed=seed, is_size_fitted=is_size_fitted, progress=progress)
+    load = _load_of(clip, followed)
+    if load is None:
+        return followed
+    usual = clip.observation.tools
+    dressed = clip.with_tools(usual.with_body(laden(usual.body, load)))
+    followed = _follow_body(dressed, height, seed=seed, is_size_fitted=is_size_fitted)
+    words = f"person {clip.person} wears something on the trunk, a rucksack perhaps: it counts as no part of the body"
+    tools = _volume_tools(followed).with_body(bare(followed.body, load))
+    return replace(followed, tools=tools, warnings=(*followed.warnings, words))
+
+
+def _volume_tools(followed: FollowedPerson) -> VolumeTools:
+    """The tools of a person who was followed in volumes."""
+    assert isinstance(followed.tools, VolumeTools)
+    return followed.tools
+
+
+def _load_of(clip: VolumeClip, followed: FollowedPerson) -> Cones | None:
+    """What a person who was followed wears, where much of the hulls was left unexplained."""
+    unexplained, numbers = followed.series.unexplained, followed.tools.settings.method.load
+    if not np.nanmedian(unexplained) > numbers.unexplained_share:
+        return None
+    with part("load"):
+        observation = clip.observation.with_tools(_volume_tools(followed))
+        return find_load(observation, followed.frames, followed.series.states, numbers)
+
+
+def _follow_body(
+    clip: VolumeClip,
+    height: HeightEstimate,
+    *,
+    seed: int,
+    is_size_fitted: bool,
+    progress: Callable[[int], None] | None = None,
+) -> FollowedPerson:
+    """One person with the body that the clip's tools have; arguments as of `follow_frames`."""
     with part("start"):
         start = start_person(clip, height, seed=seed, is_size_fitted=is_size_fitted)
     tools, settings = start.tools, start.tools.settings
@@ -340,7 +381,7 @@ def finish_person(followed: FollowedPerson) -> PersonPoses:
         ess_share=series.ess_share,
         start_frame=followed.start_frame,
         first_pose=followed.first_pose,
-        warnings=tuple(warnings),
+        warnings=(*followed.warnings, *warnings),
         series=series,
     )
 

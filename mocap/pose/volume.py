@@ -97,6 +97,11 @@ class PersonHull:
     is_among_things: bool = False
     measured: NDArray[np.float32] | None = None
 
+    def holds(self, voxels: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Whether voxels of the grid (N,) are in the hull, (N,); one outside the grid, -1, is not."""
+        at = np.minimum(np.searchsorted(self.voxels, voxels), len(self.voxels) - 1)
+        return np.asarray(self.voxels[at] == voxels)
+
 
 HullOf = Callable[[int], PersonHull | None]
 
@@ -505,8 +510,7 @@ class VolumeEvidence:
         landmark, joint, points = self.tools.flesh_of_landmarks
         R, t = joint_transforms(self.tools.body, state[None])
         places = np.einsum("nij,nj->ni", R[0, joint], points) + t[0, joint]
-        at, voxels = self.tools.grid.voxels_of(places), self.hull.hull.voxels  # ascending
-        is_in = voxels[np.minimum(np.searchsorted(voxels, at), len(voxels) - 1)] == at
+        is_in = self.hull.hull.holds(self.tools.grid.voxels_of(places))
         n = np.bincount(landmark, minlength=len(self.tools.body.landmarks))
         found = np.bincount(landmark, weights=is_in, minlength=len(n))
         return np.where(n > 0, found / np.maximum(n, 1), 1.0)

@@ -235,21 +235,30 @@ def test_poses_tell_a_child_who_stands_from_somebody_who_sits(height_m: float, p
 
 
 @pytest.mark.parametrize(
-    ("gain", "low_m", "is_child"), [(61.0, 1.2, True), (59.0, 1.2, False), (99.0, None, False)]
+    ("gain", "low_m", "walked_m", "is_child"),
+    [
+        (61.0, 1.2, 0.0, True),
+        (59.0, 1.2, 0.0, False),
+        (99.0, None, 0.0, False),
+        (1.0, 1.2, 0.1, True),  # who walks does not sit
+        (-1.0, 1.2, 0.1, False),
+    ],
 )
 def test_a_child_must_explain_a_low_volume_clearly_better(
-    gain: float, low_m: float | None, is_child: bool, monkeypatch: pytest.MonkeyPatch
+    gain: float, low_m: float | None, walked_m: float, is_child: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = []
 
     def started(clip: person.VolumeClip, height: HeightEstimate, **_: Any) -> Any:
         tried.append((height, clip.observation.tools.body.height_m))
         value = -100.0 + (gain if height.is_measured else 0.0)
-        return SimpleNamespace(height=height, first=SimpleNamespace(log_likelihood=value))
+        return SimpleNamespace(height=height, first=SimpleNamespace(log_likelihood=value, frame=0))
 
     monkeypatch.setattr(person, "_started", started)
     state = neutral_state(FLESH.body)
     clip = quick_clip(state, rasterise(FLESH.body, FLESH.grid, state))
+    assert clip.xyz is not None
+    clip.xyz[1, 0] += walked_m
     start = person.start_person(clip, HeightEstimate(DEFAULT_HEIGHT_M, False, low_m), seed=0)
     usual, child = HeightEstimate(DEFAULT_HEIGHT_M, False), HeightEstimate(1.2, True)
     assert start.height == (child if is_child else usual)

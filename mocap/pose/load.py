@@ -1,0 +1,163 @@
+"""What a person wears on the trunk, a rucksack or a wide skirt: what hulls hold beside all flesh, where the trunk goes.
+
+A limb that is looked for there finds it better explained than the air in which the limb is. So it becomes flesh of the
+trunk while the person is followed once more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, distance_transform_edt, label
+
+from mocap.body import Body, cones_of, joint_transforms
+from mocap.body.flesh import cone_distances
+from mocap.body.model import Cones
+from mocap.pose.method import LoadSettings
+from mocap.pose.volume import VolumeObservation
+
+Array = NDArray[np.float64]
+Cells = NDArray[np.bool_]
+
+
+def find_load(
+    observation: VolumeObservation, frames: NDArray[np.int64], states: Array, numbers: LoadSettings
+) -> Cones | None:
+    """Flesh for what a person wears on the trunk: balls in the frame of the upper trunk, of the root's part.
+
+    frames : (T,).  states : (T, D), the poses in which the person was followed, with some limbs lost in the load
+    perhaps. None when there is nothing worth it, or when the person moves too little to tell.
+    """
+    body, grid = observation.tools.body, observation.tools.grid
+    joint, is_axial, deep_m = upper_trunk(body), _axial(body), numbers.deep * body.height_m
+    axis = np.arange(0.5 * numbers.cell_m - numbers.reach_m, numbers.reach_m, numbers.cell_m)
+    cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    votes = [
+        _Votes(len(cells), numbers) for _ in range(2)
+    ]  # of all beside the flesh, and of what is far from it
+    trunks = []
+    for i in np.unique(np.linspace(0, len(frames) - 1, numbers.n_frames).astype(int)):
+        hull = observation.hull_of(int(frames[i]))
+        if hull is None or not len(hull.voxels):
+            continue
+        R, t = (a[0, joint] for a in joint_transforms(body, states[i : i + 1]))
+        trunks.append((t[:2], R[:2, 0]))
+        places = cells @ R.T + t
+        filled = np.flatnonzero(hull.holds(grid.voxels_of(places)))
+        ends, flesh = cones_of(body, states[i]), body.cones
+        distance = cone_distances(places[filled], *ends, flesh.radii, body.round_ends)
+        of_axial, of_limbs = distance[:, is_axial].min(axis=1), distance[:, ~is_axial].min(axis=1)
+        for vote, least_m in zip(votes, (numbers.beyond_m, deep_m), strict=True):
+            is_beside = of_axial > least_m
+            is_limb = is_beside & (of_limbs <= least_m)
+            vote.add(filled[is_beside & ~is_limb], filled[is_limb])
+    if not _moves(trunks, numbers):
+        return None
+    shape = (len(axis),) * 3
+    beside, far = ((vote.share > numbers.share).reshape(shape) for vote in votes)
+    core = _largest(far)
+    if core.sum() * numbers.cell_m**3 < numbers.least * body.height_m**3:
+        return None
+    rim = round((deep_m - numbers.beyond_m) / numbers.cell_m) + 1
+    centers, radii = _balls(beside & binary_dilation(core, iterations=rim), cells, numbers)
+    place = np.full(len(radii), joint, dtype=np.int64)
+    half_axis = np.array([0.0, 0.0, 0.5 * numbers.cell_m])  # a cone has a direction
+    return Cones(centers - half_axis, centers + half_axis, np.stack([radii, radii], axis=1), place, 0 * place)
+
+
+def laden(body: Body, load: Cones) -> Body:
+    """The body with what its owner wears."""
+    own = body.cones
+    cones = Cones(
+        start=np.concatenate([own.start, load.start]),
+        end=np.concatenate([own.end, load.end]),
+        radii=np.concatenate([own.radii, load.radii]),
+        joint=np.concatenate([own.joint, load.joint]),
+        part=np.concatenate([own.part, load.part]),
+    )
+    return replace(body, cones=cones)
+
+
+def bare(body: Body, load: Cones) -> Body:
+    """A laden body without what its owner wears."""
+    own = slice(len(body.cones.joint) - len(load.joint))
+    start, end, radii = (a[own] for a in (body.cones.start, body.cones.end, body.cones.radii))
+    return replace(body, cones=Cones(start, end, radii, body.cones.joint[own], body.cones.part[own]))
+
+
+def upper_trunk(body: Body) -> int:
+    """The joint that bears the upper trunk: the nearest under the head's that carries flesh of the root's part."""
+    j = int(body.landmark_joint[body.landmarks.index("head")])
+    while j > 0 and not np.any((body.cones.joint == j) & (body.cones.part == 0)):
+        j = int(body.parent[j])
+    return j
+
+
+def _axial(body: Body) -> NDArray[np.bool_]:
+    """The cones of trunk and head, (K,): all that is no limb."""
+    head = body.landmark_joint[body.landmarks.index("head")]
+    return (body.cones.part == 0) | (body.cones.joint == head)
+
+
+class _Votes:
+    """In how many frames cells around the trunk hold something that is no flesh.
+
+    Where a limb explains what is there, it says nothing: it may be lost there.
+    """
+
+    def __init__(self, n_cells: int, numbers: LoadSettings) -> None:
+        self._numbers = numbers
+        self._n_frames = 0
+        self._n_filled, self._n_limbs = np.zeros((2, n_cells))
+
+    def add(self, filled: NDArray[np.int64], limbs: NDArray[np.int64]) -> None:
+        """Take in a frame.  filled : cells (N,) beside all flesh.  limbs : (M,) that limbs explain."""
+        self._n_frames += 1
+        self._n_filled[filled] += 1
+        self._n_limbs[limbs] += 1
+
+    @property
+    def share(self) -> Array:
+        """Of the frames that say something of a cell; 0 where too few do."""
+        n_judged = self._n_frames - self._n_limbs
+        is_known = n_judged >= self._numbers.judged_share * self._n_frames
+        return np.where(is_known, self._n_filled / np.maximum(n_judged, 1), 0.0)
+
+
+def _moves(trunks: list[tuple[Array, Array]], numbers: LoadSettings) -> bool:
+    """Whether trunks walk or turn enough.
+
+    trunks : of each frame the place (2,) m and the direction to the front (2,), seen from above.
+    """
+    if not trunks:
+        return False
+    places, fronts = (np.array(column) for column in zip(*trunks, strict=True))
+    turned = np.unwrap(np.arctan2(fronts[:, 1], fronts[:, 0]))
+    walked_m = float(np.linalg.norm(np.ptp(places, axis=0)))
+    return walked_m > numbers.walked_m or float(np.ptp(turned)) > numbers.turned_rad
+
+
+def _largest(cells: Cells) -> Cells:
+    """The largest connected piece."""
+    labels, n = label(cells)
+    if not n:
+        return cells
+    return np.asarray(labels == 1 + np.bincount(labels.ravel())[1:].argmax())
+
+
+def _balls(filled: Cells, centers: Array, numbers: LoadSettings) -> tuple[Array, Array]:
+    """Balls that fill cells: centres (K, 3) m in the trunk's frame, and radii (K,) m; the largest first.
+
+    centers : (N, 3) m, of all cells.
+    """
+    radii = np.asarray(distance_transform_edt(filled), dtype=np.float64).ravel() * numbers.cell_m
+    left, balls = radii.copy(), list[int]()
+    for _ in range(numbers.n_balls):
+        k = int(left.argmax())
+        if left[k] < numbers.least_radius_m:
+            break
+        balls.append(k)
+        left[np.linalg.norm(centers - centers[k], axis=1) <= radii[k]] = 0.0
+    return centers[balls], radii[balls]
