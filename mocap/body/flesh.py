@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +66,26 @@ def cone_distances(points: Array, start: Array, end: Array, radii: Array, round_
     return np.where(beyond > 0, np.maximum(beyond, lateral), lateral)
 
 
+def lattice_in_cones(
+    origin: Array,
+    spacing_m: float,
+    shape: Sequence[int],
+    start: Array,
+    end: Array,
+    radii: Array,
+    round_ends: bool,
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Which points of a lattice lie in truncated cones, (K, nx, ny, nz), and in which cone each lies deepest, (nx, ny,
+    nz), -1 = none.
+
+    origin : (3,) m, the first point.  shape : nx, ny, nz.  start, end, radii and distances as in `cone_distances`.
+    """
+    inside = np.zeros((len(start), *shape), dtype=np.bool_)
+    deepest = np.full(tuple(shape), -1, dtype=np.int64)
+    cones_on_lattice(origin, spacing_m, start, end, radii, round_ends, inside, deepest)
+    return inside, deepest
+
+
 def build_look_up_table(body: Body, spacing_m: float) -> LookUpTable:
     """Sample the flesh on a lattice of the given side in the rest pose.
 
@@ -99,9 +120,7 @@ def _table_on_lattice(body: Body, spacing_m: float, shift: float) -> LookUpTable
     upper = np.maximum(start, end) + reach
     n = np.ceil((upper.max(axis=0) - lower.min(axis=0)) / spacing_m).astype(int) + 4
     origin = lower.min(axis=0) - (1.5 - shift) * spacing_m
-    inside = np.zeros((len(cones.joint), *n), dtype=np.bool_)
-    deepest = np.full(tuple(n), -1, dtype=np.int64)
-    cones_on_lattice(origin, spacing_m, start, end, cones.radii, body.round_ends, inside, deepest)
+    inside, deepest = lattice_in_cones(origin, spacing_m, tuple(n), start, end, cones.radii, body.round_ends)
     solid = deepest >= 0
     core = solid.copy()
     for axis in range(3):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, label
 
 from mocap.body import Body, cones_of, joint_transforms
-from mocap.body.flesh import cone_distances
+from mocap.body.flesh import lattice_in_cones
 from mocap.body.model import Cones
 from mocap.pose.method import LoadSettings
 from mocap.pose.volume import VolumeObservation
@@ -31,37 +31,38 @@ def find_load(
     perhaps. None when there is nothing worth it, or when the person moves too little to tell.
     """
     body, grid = observation.tools.body, observation.tools.grid
-    joint, is_axial, deep_m = upper_trunk(body), _axial(body), numbers.deep * body.height_m
-    axis = np.arange(0.5 * numbers.cell_m - numbers.reach_m, numbers.reach_m, numbers.cell_m)
-    cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    votes = [
-        _Votes(len(cells), numbers) for _ in range(2)
-    ]  # of all beside the flesh, and of what is far from it
-    trunks = []
-    for i in np.unique(np.linspace(0, len(frames) - 1, numbers.n_frames).astype(int)):
-        hull = observation.hull_of(int(frames[i]))
+    rows = np.unique(np.linspace(0, len(frames) - 1, numbers.n_frames).astype(int))
+    joint, is_axial = upper_trunk(body), _axial(body)
+    R, t = (transforms[:, joint] for transforms in joint_transforms(body, states[rows]))
+    if not _moves(t[:, :2], R[:, :2, 0], numbers):
+        return None
+    half = round(numbers.reach_m / numbers.cell_m)
+    axis = (np.arange(2 * half) - half + 0.5) * numbers.cell_m
+    cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    least_m = (numbers.beyond_m, numbers.deep * body.height_m)
+    beside, far = votes = [_Votes(cells.shape[:3], numbers) for _ in least_m]
+    for i, row in enumerate(rows):
+        hull = observation.hull_of(int(frames[row]))
         if hull is None or not len(hull.voxels):
             continue
-        R, t = (a[0, joint] for a in joint_transforms(body, states[i : i + 1]))
-        trunks.append((t[:2], R[:2, 0]))
-        places = cells @ R.T + t
-        filled = np.flatnonzero(hull.holds(grid.voxels_of(places)))
-        ends, flesh = cones_of(body, states[i]), body.cones
-        distance = cone_distances(places[filled], *ends, flesh.radii, body.round_ends)
-        of_axial, of_limbs = distance[:, is_axial].min(axis=1), distance[:, ~is_axial].min(axis=1)
-        for vote, least_m in zip(votes, (numbers.beyond_m, deep_m), strict=True):
-            is_beside = of_axial > least_m
-            is_limb = is_beside & (of_limbs <= least_m)
-            vote.add(filled[is_beside & ~is_limb], filled[is_limb])
-    if not _moves(trunks, numbers):
-        return None
-    shape = (len(axis),) * 3
-    beside, far = ((vote.share > numbers.share).reshape(shape) for vote in votes)
-    core = _largest(far)
+        places = cells.reshape(-1, 3) @ R[i].T + t[i]
+        is_filled = hull.holds(grid.voxels_of(places)).reshape(cells.shape[:3])
+        start, end = ((ends - t[i]) @ R[i] for ends in cones_of(body, states[row]))
+        for vote, off_m in zip(votes, least_m, strict=True):
+            grown = body.cones.radii + off_m
+            near, _ = lattice_in_cones(
+                cells[0, 0, 0], numbers.cell_m, cells.shape[:3], start, end, grown, body.round_ends
+            )
+            is_left = is_filled & ~near[is_axial].any(axis=0)
+            is_limb = near[~is_axial].any(axis=0)
+            vote.add(is_left & ~is_limb, is_left & is_limb)
+    core = _largest(far.is_won)
     if core.sum() * numbers.cell_m**3 < numbers.least * body.height_m**3:
         return None
-    rim = round((deep_m - numbers.beyond_m) / numbers.cell_m) + 1
-    centers, radii = _balls(beside & binary_dilation(core, iterations=rim), cells, numbers)
+    rim = binary_dilation(core, iterations=round(np.ptp(least_m) / numbers.cell_m) + 1)
+    centers, radii = _balls(beside.is_won & rim, cells.reshape(-1, 3), numbers)
+    if not len(radii):
+        return None
     place = np.full(len(radii), joint, dtype=np.int64)
     half_axis = np.array([0.0, 0.0, 0.5 * numbers.cell_m])  # a cone has a direction
     return Cones(centers - half_axis, centers + half_axis, np.stack([radii, radii], axis=1), place, 0 * place)
@@ -107,36 +108,33 @@ class _Votes:
     Where a limb explains what is there, it says nothing: it may be lost there.
     """
 
-    def __init__(self, n_cells: int, numbers: LoadSettings) -> None:
+    def __init__(self, shape: tuple[int, ...], numbers: LoadSettings) -> None:
         self._numbers = numbers
         self._n_frames = 0
-        self._n_filled, self._n_limbs = np.zeros((2, n_cells))
+        self._n_filled, self._n_limbs = np.zeros((2, *shape), dtype=np.int64)
 
-    def add(self, filled: NDArray[np.int64], limbs: NDArray[np.int64]) -> None:
-        """Take in a frame.  filled : cells (N,) beside all flesh.  limbs : (M,) that limbs explain."""
+    def add(self, is_filled: Cells, is_limb: Cells) -> None:
+        """Take in a frame: cells that are filled beside all flesh, and cells that limbs explain."""
         self._n_frames += 1
-        self._n_filled[filled] += 1
-        self._n_limbs[limbs] += 1
+        self._n_filled += is_filled
+        self._n_limbs += is_limb
 
     @property
-    def share(self) -> Array:
-        """Of the frames that say something of a cell; 0 where too few do."""
+    def is_won(self) -> Cells:
+        """Cells that are filled in most of the frames that say something of them, where enough do."""
         n_judged = self._n_frames - self._n_limbs
         is_known = n_judged >= self._numbers.judged_share * self._n_frames
-        return np.where(is_known, self._n_filled / np.maximum(n_judged, 1), 0.0)
+        return is_known & (self._n_filled > self._numbers.share * n_judged)
 
 
-def _moves(trunks: list[tuple[Array, Array]], numbers: LoadSettings) -> bool:
-    """Whether trunks walk or turn enough.
+def _moves(places: Array, fronts: Array, numbers: LoadSettings) -> bool:
+    """Whether a trunk walks or turns enough.
 
-    trunks : of each frame the place (2,) m and the direction to the front (2,), seen from above.
+    places : (N, 2) m, and fronts : (N, 2) directions to the front, both seen from above.
     """
-    if not trunks:
-        return False
-    places, fronts = (np.array(column) for column in zip(*trunks, strict=True))
-    turned = np.unwrap(np.arctan2(fronts[:, 1], fronts[:, 0]))
-    walked_m = float(np.linalg.norm(np.ptp(places, axis=0)))
-    return walked_m > numbers.walked_m or float(np.ptp(turned)) > numbers.turned_rad
+    turned_rad = np.ptp(np.unwrap(np.arctan2(fronts[:, 1], fronts[:, 0])))
+    walked_m = np.linalg.norm(np.ptp(places, axis=0))
+    return bool(walked_m > numbers.walked_m or turned_rad > numbers.turned_rad)
 
 
 def _largest(cells: Cells) -> Cells:
