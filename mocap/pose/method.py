@@ -402,7 +402,7 @@ class LoadSettings(_Strict):
     """Least share of the frames that say something of a cell: where a limb is, it says nothing."""
     least: float = 0.0004
     """So much of it in one piece, of the height's cube: two litres of who is 1.7 m tall. Rucksacks have 5 to 21 litres
-    there, people in fitted clothes who walk .2, in wide ones .6."""
+    there, people who walk in fitted clothes .2, in wide ones .6, among furniture up to 1.6."""
     beyond_m: float = 0.02
     """The load itself begins so far from the flesh."""
     n_balls: int = 16
