@@ -37,6 +37,11 @@ _ASIDE_M = 0.3  # ... when he himself stands beside it; above it is the rest of 
 _UNLIKE = 0.4  # Bhattacharyya coefficient under which a blob is somebody else
 _COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
 _LEAST_OF_TWO_KG = 40.0  # two children; what is lighter is not looked at
+_TWO_HEADS_S = 0.3  # two heads for so long are two persons
+_LIKE_SHARE = (
+    0.5  # of an equal share: what is under a hand that is held up, or at the edge of a rucksack, is less
+)
+_ALIKE_SHARE = 0.75  # the same for who are taken apart at first sight; a rucksack has had .71 for a moment
 _PULL_M = 0.4  # how far colours may move the place of a person in a blob of several
 _WALK_M_S = 2.0  # who walks goes no further between two pictures, however far apart they are
 # A person who sinks to the floor, from one frame to the next:
@@ -92,6 +97,7 @@ class Claim:
     centroid : (3,) m.  box : (2, 3) m, lower and upper corner about their centres.
     is_shared : they are a share of a blob of several persons.  is_new : the track has just got them, from afar.
     is_low : they are a person because the track says so, and not the classifier.
+    is_several : they look like several persons.  is_parted : they are one of several who were one track until now.
     """
 
     voxels: Indices
@@ -102,6 +108,8 @@ class Claim:
     is_shared: bool = False
     is_new: bool = False
     is_low: bool = False
+    is_several: bool = False
+    is_parted: bool = False
 
     @property
     def weight_kg(self) -> float:
@@ -158,6 +166,7 @@ def claim_voxels(frame: Frame, tracks: tuple[Track, ...], xyz: Array) -> tuple[d
     newborn = _create(frame, claims, is_taken)
     if frame.settings.whole_components:
         newborn += _create_several(frame, [*claims.values(), *newborn], is_taken)
+        newborn += _come_apart(frame, tracks, claims)
     slots = list(range(len(tracks), len(tracks) + len(newborn)))
     claims.update(zip(slots, newborn, strict=True))
     if frame.settings.whole_components:
@@ -440,7 +449,14 @@ def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_])
         if all(gap >= frame.settings.min_distance_m for gap in gaps):
             newborn.append(k)
             is_taken[k] = True
-    return [replace(part_claim(frame, k), is_person=True, is_low=not frame.verdicts[k]) for k in newborn]
+    claims_of = (_born(frame, k) for k in newborn)
+    return [claim for born in claims_of for claim in born]
+
+
+def _born(frame: Frame, k: int) -> list[Claim]:
+    """The person in a component, or several with much the same share of it."""
+    apart = _apart(frame, frame.parts.voxels(k), _ALIKE_SHARE) if frame.settings.whole_components else []
+    return apart or [replace(part_claim(frame, k), is_person=True, is_low=not frame.verdicts[k])]
 
 
 def _create_several(frame: Frame, others: Sequence[Claim], is_taken: NDArray[np.bool_]) -> list[Claim]:
@@ -456,13 +472,48 @@ def _create_several(frame: Frame, others: Sequence[Claim], is_taken: NDArray[np.
     return newborn
 
 
-def _apart(frame: Frame, voxels: Indices) -> list[Claim]:
-    """One claim for each head of a component, by the nearest head; none where they are not all persons."""
+def _come_apart(frame: Frame, tracks: tuple[Track, ...], claims: dict[int, Claim]) -> list[Claim]:
+    """Persons who were one track with another until now: of a claim with two heads, for a while. Not in the source.
+
+    The track keeps the share that is nearest to it, in place in `claims`.
+    """
+    settings = frame.settings
+    n_known = sum(track.status != TENTATIVE for track in tracks)
+    newborn: list[Claim] = []
+    for slot, claim in claims.items():
+        track = tracks[slot]
+        if track.status == TENTATIVE or claim.is_shared or claim.weight_kg < _LEAST_OF_TWO_KG:
+            continue
+        shares = _apart(frame, claim.voxels) if claim.is_person else []
+        if not shares:
+            continue
+        claims[slot] = replace(claim, is_several=True)
+        n_all = n_known + len(newborn) + len(shares) - 1
+        is_room = settings.expected_persons is None or n_all <= settings.expected_persons
+        if track.n_several < _TWO_HEADS_S * settings.fps or not is_room:
+            continue
+        gaps = [np.linalg.norm(share.centroid[:2] - track.xyz[:2]) for share in shares]
+        parted = [replace(share, is_parted=True) for share in shares]
+        claims[slot] = parted.pop(int(np.argmin(gaps)))
+        newborn += parted
+    return newborn
+
+
+def _apart(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> list[Claim]:
+    """One claim for each head of a component, by the nearest head; none where they are not all persons.
+
+    like_share : what is less of an equal share has no head of its own.
+    """
     centers = frame.voxels.centers[voxels]
     heads = heads_of(centers, frame.settings.voxel_size_m)
-    if len(heads) < 2:
+    while len(heads) > 1:
+        nearest = np.linalg.norm(centers[:, None, :2] - heads, axis=2).argmin(axis=1)
+        count = np.bincount(nearest, minlength=len(heads))
+        if count.min() >= like_share * len(voxels) / len(heads):
+            break
+        heads = np.delete(heads, count.argmin(), axis=0)
+    else:
         return []
-    nearest = np.linalg.norm(centers[:, None, :2] - heads, axis=2).argmin(axis=1)
     shares = [replace(claim_of(frame, voxels[nearest == i]), is_shared=True) for i in range(len(heads))]
     return shares if all(share.is_person for share in shares) else []
 

@@ -127,7 +127,10 @@ def _advance(
         _end(lives, track, "unconfirmed", frame)
         return
     track = _place(predicted, aged, claim, is_supported, frame, start)
-    if is_person and not claim.is_shared:
+    track = track.replace(n_several=track.n_several + n_frames if claim.is_several else 0)
+    if claim.is_parted:
+        track = _alone(track, claim)
+    elif is_person and not claim.is_shared:
         track = _with_size(track, claim, settings)
     lives.tracks.append(track)
     lives.claims[track.serial] = claim
@@ -169,6 +172,20 @@ def _with_size(track: Track, claim: Claim, settings: TrackerSettings) -> Track:
     if not track.has_moved and np.abs(here - track.home).max() >= settings.min_move_m:
         return track.replace(has_moved=True)
     return track
+
+
+def _alone(track: Track, claim: Claim) -> Track:
+    """A track that was several persons until now, with the size of what it has left, and colours yet to be learnt."""
+    top_m = claim.features.top_m
+    return track.replace(
+        weight_kg=claim.weight_kg,
+        top_m=top_m,
+        last_kg=claim.weight_kg,
+        last_top_m=top_m,
+        histogram=None,
+        appearance=None,
+        n_appearance=0,
+    )
 
 
 def _place(
@@ -439,7 +456,8 @@ def _give_birth(
         home=_posture(claim),
         motion=motion.start_motion(settings),
     )
-    is_at_once = state.frame is None or settings.confirm_frames == 1
+    # Beside a confirmed track a tentative one has no voxels; who has parted from one has shown that he is there.
+    is_at_once = state.frame is None or settings.confirm_frames == 1 or claim.is_parted
     n_confirmed = len(state.confirmed_ids | {t.person for t in lives.tracks if t.status != TENTATIVE})
     is_room = settings.expected_persons is None or n_confirmed < settings.expected_persons
     if is_at_once and is_room and _is_credible(track, claim, settings):

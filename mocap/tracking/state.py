@@ -196,6 +196,7 @@ class Track:
     histogram : (9261,), adaptive colour model of CF Eq. 4.11, zeros = none.
     appearance : (3, 9261), slow colour model by height band, of frames in which the person stood alone.
     n_appearance : number of those.  mixed : frames for which an exchange with another track remains possible.
+    n_several : frames in a row in which its voxels looked like several persons.
     is_named : the id is final; a person who has just come in may still be recognised as somebody who was here before.
     """
 
@@ -224,6 +225,7 @@ class Track:
     appearance: Array | None = None
     n_appearance: int = 0
     mixed: int = 0
+    n_several: int = 0
     is_named: bool = False
 
     def replace(self, **changes: Any) -> Track:

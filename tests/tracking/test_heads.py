@@ -94,3 +94,75 @@ def test_somebody_who_was_followed_before_keeps_what_is_his():
     infos, _ = run([person(-0.4, 0.0, RED)] * 5 + [TOUCHING] * 4, s)
     assert confirmed(infos[4]) == [1]
     assert [t.person for t in infos[5].tracks] == [1]
+
+
+# Side by side they weigh and measure what one person may, and are one component.
+ARMS = box(0.0, 0.0, 0.3, 0.1, 0.9, 1.2)
+PAIR = [ARMS, *person(-0.3, 0.0, RED), *person(0.3, 0.1, BLUE, height=1.6)]
+# The share of the second is .58 of an equal one.
+UNEQUAL = [
+    ARMS,
+    *person(-0.3, 0.0, RED),
+    box(0.3, 0.0, 0.1, 0.15, 0.0, 1.15, BLUE),
+    box(0.3, 0.0, 0.1, 0.1, 1.15, 1.4, BLUE),
+]
+
+
+def persons_in(infos):
+    return [len(info.tracks) for info in infos]
+
+
+def test_two_side_by_side_are_two_from_the_first_frame():
+    infos, _ = run([PAIR] * 4, settings())
+    assert [t.person for t in infos[0].tracks] == [1, 2]
+    assert confirmed(infos[0]) == [1, 2]
+    for info in infos:
+        np.testing.assert_allclose(sorted(float(t.xyz[0]) for t in info.tracks), (-0.3, 0.3), atol=0.1)
+        assert info.n_unassigned == 0
+
+
+def test_three_in_a_row_are_three():
+    row = [*PAIR, *person(0.9, 0.0, GREEN), box(0.6, 0.0, 0.3, 0.1, 0.9, 1.2)]
+    infos, _ = run([row] * 4, settings())
+    assert confirmed(infos[-1]) == [1, 2, 3]
+
+
+def test_who_has_two_heads_for_a_while_is_two():
+    """At 20 frames per second from the seventh frame on; the one of before keeps his number, and has his own size."""
+    s = settings()
+    infos, _ = run([UNEQUAL] * 12, s)
+    assert persons_in(infos) == [1] * 7 + [2] * 5
+    assert confirmed(infos[7]) == [1, 2]
+    places = {t.person: float(t.xyz[0]) for t in infos[-1].tracks}
+    assert sorted(places.values()) == pytest.approx([-0.3, 0.3], abs=0.1)
+    before, after = infos[6].tracks[0], {t.person: t for t in infos[7].tracks}
+    assert sum(t.weight_kg for t in after.values()) == pytest.approx(before.weight_kg, rel=0.02)
+    assert all(t.appearance is None for t in after.values())
+    assert {t.top_m for t in after.values()} == {1.4, 1.7}
+
+
+def test_two_heads_for_a_moment_are_one():
+    glimpse = [UNEQUAL] * 6 + [person(-0.3, 0.0, RED)]
+    infos, _ = run([person(-0.3, 0.0, RED), *glimpse * 3], settings())
+    assert persons_in(infos) == [1] * 22
+
+
+def test_a_fist_held_up_is_no_second_head():
+    raised = box(0.35, 0.0, 0.1, 0.1, 1.0, 1.7)
+    shoulder = box(0.2, 0.0, 0.2, 0.1, 1.0, 1.3)
+    boxes = [*person(0.0, 0.0), shoulder, raised]
+    assert len(heads(boxes, 0.05)) == 2
+    infos, _ = run([boxes] * 12, settings())
+    assert persons_in(infos) == [1] * 12
+
+
+def test_where_one_is_expected_nobody_parts_from_him():
+    infos, _ = run([UNEQUAL] * 12, settings(expected_persons=1))
+    assert persons_in(infos) == [1] * 12
+    infos, _ = run([UNEQUAL] * 12, settings(expected_persons=2))
+    assert persons_in(infos)[-1] == 2
+
+
+def test_as_published_two_side_by_side_are_one():
+    infos, _ = run([PAIR] * 10, settings(whole_components=False))
+    assert persons_in(infos) == [1] * 10
