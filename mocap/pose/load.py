@@ -32,7 +32,7 @@ def find_load(
     """
     body, grid = observation.tools.body, observation.tools.grid
     rows = np.unique(np.linspace(0, len(frames) - 1, numbers.n_frames).astype(int))
-    joint, is_axial = upper_trunk(body), _axial(body)
+    joint, is_trunk = upper_trunk(body), body.cones.part == 0
     R, t = (transforms[:, joint] for transforms in joint_transforms(body, states[rows]))
     if not _moves(t[:, :2], R[:, :2, 0], numbers):
         return None
@@ -53,8 +53,8 @@ def find_load(
             near, _ = lattice_in_cones(
                 cells[0, 0, 0], numbers.cell_m, cells.shape[:3], start, end, grown, body.round_ends
             )
-            is_left = is_filled & ~near[is_axial].any(axis=0)
-            is_limb = near[~is_axial].any(axis=0)
+            is_left = is_filled & ~near[is_trunk].any(axis=0)
+            is_limb = near[~is_trunk].any(axis=0)
             vote.add(is_left & ~is_limb, is_left & is_limb)
     core = _largest(far.is_won)
     if core.sum() * numbers.cell_m**3 < numbers.least * body.height_m**3:
@@ -94,12 +94,6 @@ def upper_trunk(body: Body) -> int:
     while j > 0 and not np.any((body.cones.joint == j) & (body.cones.part == 0)):
         j = int(body.parent[j])
     return j
-
-
-def _axial(body: Body) -> NDArray[np.bool_]:
-    """The cones of trunk and head, (K,): all that is no limb."""
-    head = body.landmark_joint[body.landmarks.index("head")]
-    return (body.cones.part == 0) | (body.cones.joint == head)
 
 
 class _Votes:

@@ -38,10 +38,9 @@ _UNLIKE = 0.4  # Bhattacharyya coefficient under which a blob is somebody else
 _COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
 _LEAST_OF_TWO_KG = 40.0  # two children; what is lighter is not looked at
 _TWO_HEADS_S = 0.3  # two heads for so long are two persons
-_LIKE_SHARE = (
-    0.5  # of an equal share: what is under a hand that is held up, or at the edge of a rucksack, is less
-)
-_ALIKE_SHARE = 0.75  # the same for who are taken apart at first sight; a rucksack has had .71 for a moment
+# Of an equal share: under a hand that is held up is less (decision 112).
+_LIKE_SHARE = 0.5
+_ALIKE_SHARE = 0.75  # at first sight: a rucksack has had .71 for a moment
 _PULL_M = 0.4  # how far colours may move the place of a person in a blob of several
 _WALK_M_S = 2.0  # who walks goes no further between two pictures, however far apart they are
 # A person who sinks to the floor, from one frame to the next:

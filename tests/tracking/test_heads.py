@@ -121,6 +121,13 @@ def test_two_side_by_side_are_two_from_the_first_frame():
         assert info.n_unassigned == 0
 
 
+def test_a_raised_hand_beside_two_is_nobody():
+    infos, _ = run(
+        [[*PAIR, box(0.65, 0.0, 0.1, 0.1, 1.0, 1.75), box(0.5, 0.0, 0.2, 0.1, 1.0, 1.2)]] * 4, settings()
+    )
+    assert persons_in(infos) == [2] * 4
+
+
 def test_three_in_a_row_are_three():
     row = [*PAIR, *person(0.9, 0.0, GREEN), box(0.6, 0.0, 0.3, 0.1, 0.9, 1.2)]
     infos, _ = run([row] * 4, settings())
@@ -141,6 +148,15 @@ def test_who_has_two_heads_for_a_while_is_two():
     assert {t.top_m for t in after.values()} == {1.4, 1.7}
 
 
+def test_who_was_followed_keeps_the_share_that_is_nearest():
+    """Not that of the higher head."""
+    tall = [box(0.3, 0.0, 0.1, 0.15, 0.0, 1.15, BLUE), box(0.3, 0.0, 0.1, 0.1, 1.15, 1.9, BLUE)]
+    infos, _ = run([[ARMS, *person(-0.3, 0.0, RED), *tall]] * 12, settings())
+    assert persons_in(infos)[-1] == 2
+    places = {t.person: float(t.xyz[0]) for t in infos[-1].tracks}
+    assert places[1] < -0.2 < 0.2 < places[2]
+
+
 def test_two_heads_for_a_moment_are_one():
     glimpse = [UNEQUAL] * 6 + [person(-0.3, 0.0, RED)]
     infos, _ = run([person(-0.3, 0.0, RED), *glimpse * 3], settings())
@@ -159,6 +175,9 @@ def test_a_fist_held_up_is_no_second_head():
 def test_where_one_is_expected_nobody_parts_from_him():
     infos, _ = run([UNEQUAL] * 12, settings(expected_persons=1))
     assert persons_in(infos) == [1] * 12
+    infos, _ = run([PAIR] * 12, settings(expected_persons=1))
+    assert persons_in(infos)[2:] == [1] * 10  # the second was tentative
+    assert infos[-1].n_unassigned == 0
     infos, _ = run([UNEQUAL] * 12, settings(expected_persons=2))
     assert persons_in(infos)[-1] == 2
 
