@@ -37,7 +37,7 @@ _ASIDE_M = 0.3  # ... when he himself stands beside it; above it is the rest of 
 _UNLIKE = 0.4  # Bhattacharyya coefficient under which a blob is somebody else
 _COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
 _LEAST_OF_TWO_KG = 40.0  # two children; what is lighter is not looked at
-_TWO_HEADS_S = 0.3  # two heads for so long are two persons
+_TWO_HEADS_S = 0.3  # two heads for so long are two persons (decision 112)
 # Of an equal share: under a hand that is held up is less (decision 112).
 _LIKE_SHARE = 0.5
 _ALIKE_SHARE = 0.75  # at first sight: a rucksack has had .71 for a moment
