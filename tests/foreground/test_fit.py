@@ -131,6 +131,36 @@ def test_who_stands_in_the_empty_clip_leaves_no_ghost() -> None:
     assert iou(background, pictures, truth) < 0.8 < 0.9 < iou(fit.background, pictures, truth)
 
 
+@pytest.mark.parametrize(("apart_px", "is_his"), [(5, True), (40, False)])
+def test_what_somebody_who_stays_hides_of_his_chair_has_not_gone(apart_px: int, is_his: bool) -> None:
+    """A piece of it that hides nothing else is judged with him; a thing further away stood in the clip alone."""
+    rng = np.random.default_rng(11)
+    pictures, _ = recording(room(), rng)
+    clip = [seen(room(), rng) for _ in range(20)]
+    piece = (slice(150, 190), slice(180 + apart_px, 195 + apart_px))
+    for picture in clip:
+        picture[piece] = (40, 40, 45)
+    for picture in pictures:
+        picture[STANDS] = (150, 60, 50)
+    fit = fit_background(learn_background(clip), pictures)
+    assert not fit.gone[STANDS].any()
+    assert fit.gone[piece].all() == (not is_his)
+    assert fit.gone[piece].any() == (not is_his)
+
+
+def test_a_shadow_takes_nothing_away() -> None:
+    """It weakens the joints of the tiles in it, and has hardly any edges of its own."""
+    rng = np.random.default_rng(12)
+    lit, dark = 0.3 * room(), np.ones((H + 40, W + 40, 1))
+    dark[140:220, 60:240] = 0.3
+    shaded = lit * cv2.GaussianBlur(dark, (0, 0), 9)[..., None]
+    pictures = [seen(shaded, rng) for _ in range(N_PICTURES)]
+    background = learn_background(seen(lit, rng) for _ in range(20))
+    fit = fit_background(background, pictures)
+    assert fit.differing_share > 0.1
+    assert not fit.gone.any()
+
+
 @pytest.mark.parametrize("k", [0, 3, 6])
 def test_who_walks_through_his_place_in_the_clip_leaves_no_ghost(k: int) -> None:
     """In the pictures in which he is there again nothing differs."""
