@@ -243,9 +243,12 @@ class _World:
         across = camera.rays(uv + normal) - rays
         across -= np.einsum("nc,nc->n", across, rays)[:, None] * rays
         across /= np.linalg.norm(across, axis=1, keepdims=True)
-        far = np.linalg.norm(places - camera.center, axis=1)
+        # The nearest place need not be a corner: under the ceiling it is the head of who stands below.
+        nearest = np.clip(camera.center, places.min(axis=0), places.max(axis=0))
+        near_m = float(np.linalg.norm(nearest - camera.center))
+        far_m = float(np.linalg.norm(places - camera.center, axis=1).max())
         reach, step = self._settings.reach_m, self._settings.step_m
-        along = np.arange(max(far.min() - reach, step), far.max() + reach, step)
+        along = np.arange(max(near_m - reach, step), far_m + reach, step)
         points = camera.center + rays[:, None] * along[:, None]
         clearance = np.full((*points.shape[:2], len(self.rig)), np.inf, dtype=np.float32)
         for k, (other, own) in enumerate(zip(self.rig, inside, strict=True)):

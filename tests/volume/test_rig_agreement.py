@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from eval.bench.scene import person_mask, ring
+from eval.bench.scene import look_at, person_mask, ring
 from mocap.data import Camera, CameraRig, Occluders, VoxelGrid
 from mocap.volume import CameraFault, ConsistencyMonitor, find_misfits
 from mocap.volume import _kernels as kernels
@@ -61,6 +61,25 @@ def test_a_good_rig_agrees() -> None:
     assert found.is_decided
     assert not found.misfits
     assert found.offset_m < 0.005
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 2.0])
+def test_a_camera_under_the_ceiling_is_near_to_heads(turn_deg: float) -> None:
+    """No corner of the space in which people are is as near to it."""
+    above = look_at("above", np.array([0.1, 0.05, 2.9]), np.zeros(3), SIZE, 150.0, np.zeros(4))
+    space = CORNERS * (4.5, 4.5, 1.0)
+    angles = [0.7 * f for f in range(N)]
+    places = [np.array([0.3 * np.cos(a), 0.3 * np.sin(a)]) for a in angles]
+    seen_by = (*RIG.cameras[::2], above)
+    seen = [
+        MaskSample(f, [person_mask(c, place, a) for c in seen_by], space)
+        for f, (place, a) in enumerate(zip(places, angles, strict=True))
+    ]
+    said = CameraRig((*seen_by[:-1], misplaced(above, (0.0, turn_deg, 0.0), STILL)))
+    found = rig_agreement(said, seen)
+    assert found.is_decided
+    assert list(found.misfits) == (["above"] if turn_deg else [])
+    assert found.offset_m < 0.006
 
 
 @pytest.mark.parametrize(
