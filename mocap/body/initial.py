@@ -12,8 +12,11 @@ from mocap.arrays import Array
 from mocap.body.kinematics import cones_of, neutral_state
 from mocap.body.model import Body
 
-# A hull whose top stays below this is a child, or a person who sits, crouches or lies: poses tell, its shape does not.
+# Grown-up people are no smaller.
 LOWEST_STANDING_TOP_M = 1.45
+# A hull whose top stays below this is a small person or a child who stands, or a person who sits, crouches or lies:
+# poses tell, its shape does not. So high is a man of 2 m on a high chair.
+_HIGHEST_SITTING_TOP_M = 1.60
 _LOWEST_CHILD_TOP_M = 0.7
 _RISEN = 1.05  # heads of who walks or bends now and then differ by less from frame to frame
 # Volume over top cubed: 0.017 to 0.027 for hulls of people who stand; 0.042 and more for people who sit, unless the
@@ -196,10 +199,10 @@ def height_from_tops(
         if standing > _RISEN * top:
             top = standing  # he lies or sits for most of the time
     height_m = top - 0.5 * voxel_size_m
-    if LOWEST_STANDING_TOP_M <= top <= HIGHEST_STANDING_TOP_M:
+    if _HIGHEST_SITTING_TOP_M <= top <= HIGHEST_STANDING_TOP_M:
         return HeightEstimate(height_m, True)
-    may_be_child = _LOWEST_CHILD_TOP_M <= top < LOWEST_STANDING_TOP_M
-    return HeightEstimate(DEFAULT_HEIGHT_M, False, height_m if may_be_child else None)
+    may_stand = _LOWEST_CHILD_TOP_M <= top < _HIGHEST_SITTING_TOP_M
+    return HeightEstimate(DEFAULT_HEIGHT_M, False, height_m if may_stand else None)
 
 
 def is_low(centers: Array, body: Body) -> bool:

@@ -82,10 +82,13 @@ class StartSettings(_Strict):
     standing_share: float = 0.95
     """Somebody stands whose head is above this share of his height. Who does not in the middle is looked at when he
     does: who sits says less of how large he is, and a chair may be one with him (decision 92)."""
-    child_nats: float = 60.0
-    """By so much more a first pose of a child who stands must explain a low volume than one of somebody who sits or
-    crouches in it, unless he walks. Seven children gained 220 to 357, twelve people who sit or crouch lost 172 to
-    gained 27 (decision 110); a child who walks with a rucksack gained 58."""
+    small_nats: float = 60.0
+    """By so much more a first pose of somebody small who stands must explain a low volume than one of somebody who sits
+    or crouches in it. Seven children gained 220 to 357, twelve people who sit or crouch lost 172 to gained 27 (decision
+    110), five tall men who sit at a table lost 21 to 64 (decision 113); a child who walks with a rucksack gained 58."""
+    pelvis_share: float = 0.45
+    """Who walks does not sit, and nor does he whose pelvis is higher, of his height: 0.50 to 0.52 in first poses of who
+    stands, 0.32 to 0.40 of who sits at a table (decision 113). The better of the two is taken then."""
     n_directions: int = 16
     """Directions that each kind of pose is tried in."""
     n_copies: int = 8

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from mocap.body import landmarks_of
 from mocap.body.initial import HeightEstimate, head_top, is_low
 from mocap.body.model import Cones
+from mocap.data import LANDMARKS
 from mocap.forks import in_processes, shared_zeros
 from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covariances
 from mocap.pose.evidence import FrameEvidence, PersonClip
 from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, on_threads, unbroken
 from mocap.pose.limbs import in_doubt
 from mocap.pose.load import bare, find_load, laden
+from mocap.pose.method import StartSettings
 from mocap.pose.repair import EvidenceOf, repair_limbs
 from mocap.pose.result import FollowedPerson, PersonPoses, warnings_of_volumes
 from mocap.pose.size import fit_size
@@ -74,19 +76,28 @@ def start_person(
 ) -> Start:
     """First pose and size of one person; the arguments and errors are those of `follow_person`.
 
-    Of a hull that is lower than grown-up people stand both are tried, somebody who sits or crouches and a child who
-    stands; who walks does not sit. With more threads than one it forks: see `in_processes` for where it may be called.
+    Of a hull that is no higher than a tall man who sits both are tried, somebody of the usual size, who may sit or
+    crouch, and somebody as small as the hull is high, who stands; who walks or stands does not sit. With more threads
+    than one it forks: see `in_processes` for where it may be called.
     """
     usual = _started(clip, replace(height, low_m=None), seed=seed, is_size_fitted=is_size_fitted)
     if height.low_m is None:
         return usual
     tools = clip.observation.tools
-    small = clip.with_tools(tools.resized(height.low_m / tools.body.height_m))
-    child = _started(small, HeightEstimate(height.low_m, True), seed=seed, is_size_fitted=is_size_fitted)
-    gain = child.first.log_likelihood - usual.first.log_likelihood
+    resized = clip.with_tools(tools.resized(height.low_m / tools.body.height_m))
+    small = _started(resized, HeightEstimate(height.low_m, True), seed=seed, is_size_fitted=is_size_fitted)
+    gain = small.first.log_likelihood - usual.first.log_likelihood
     numbers, row = tools.settings.method.start, int(np.searchsorted(clip.frames, usual.first.frame))
     is_walking = heading_of(walking_velocity(clip, row, numbers), numbers) is not None
-    return child if gain > (0.0 if is_walking else numbers.child_nats) else usual
+    may_sit = not is_walking and not _stands(usual, numbers)
+    return small if gain > (numbers.small_nats if may_sit else 0.0) else usual
+
+
+def _stands(start: Start, numbers: StartSettings) -> bool:
+    """Whether the pelvis of a first pose is as high above the floor as of somebody who stands."""
+    body = start.tools.body
+    pelvis_m = landmarks_of(body, start.first.state[None])[0, LANDMARKS.index("pelvis"), 2]
+    return bool(pelvis_m > numbers.pelvis_share * body.height_m)
 
 
 def _started(clip: VolumeClip, height: HeightEstimate, *, seed: int, is_size_fitted: bool) -> Start:

@@ -222,17 +222,17 @@ def test_who_stands_is_slender_and_reaches_the_floor() -> None:
     assert not is_upright(np.zeros((0, 3)), 0.02)
 
 
-def test_a_low_top_is_a_childs_height_or_nobodys() -> None:
+def test_a_low_top_is_the_height_of_who_stands_or_nobodys() -> None:
     tops = np.array([np.nan, 0.8, 1.16, 1.18, 1.2, 1.2])
     for upright in (None, np.array([0, 0, 1, 1, 1, 1], dtype=np.bool_), np.zeros(6, dtype=np.bool_)):
         estimate = height_from_tops(tops, 0.02, upright)
         assert not estimate.is_measured
         assert estimate.height_m == DEFAULT_HEIGHT_M
         assert estimate.low_m == pytest.approx(1.19)
-    for top, low_m in ((0.69, None), (0.71, 0.7), (1.44, 1.43), (1.46, None), (2.21, None)):
+    for top, low_m in ((0.69, None), (0.71, 0.7), (1.59, 1.58), (1.61, None), (2.21, None)):
         estimate = height_from_tops(np.full(5, top), 0.02)
         assert estimate.low_m == (None if low_m is None else pytest.approx(low_m))
-        assert estimate.is_measured == (top == 1.46)
+        assert estimate.is_measured == (top == 1.61)
 
 
 def test_who_stands_in_few_frames_is_as_tall_as_he_stands_there() -> None:

@@ -12,6 +12,7 @@ from marker_world import marching
 from mocap.body import candidate_states, landmarks_of, neutral_state
 from mocap.body.initial import DEFAULT_HEIGHT_M, HeightEstimate
 from mocap.body.stretch import lengths_of, resize_body, stretch_body
+from mocap.data import LANDMARKS
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose import person
@@ -235,27 +236,38 @@ def test_poses_tell_a_child_who_stands_from_somebody_who_sits(height_m: float, p
 
 
 @pytest.mark.parametrize(
-    ("gain", "low_m", "walked_m", "is_child"),
+    ("gain", "low_m", "walked_m", "pelvis_share", "is_child"),
     [
-        (61.0, 1.2, 0.0, True),
-        (59.0, 1.2, 0.0, False),
-        (99.0, None, 0.0, False),
-        (1.0, 1.2, 0.1, True),  # who walks does not sit
-        (-1.0, 1.2, 0.1, False),
+        (61.0, 1.2, 0.0, 0.44, True),
+        (59.0, 1.2, 0.0, 0.44, False),
+        (99.0, None, 0.0, 0.44, False),
+        (1.0, 1.2, 0.1, 0.44, True),  # who walks does not sit
+        (-1.0, 1.2, 0.1, 0.44, False),
+        (1.0, 1.2, 0.0, 0.46, True),  # nor does who stands
+        (-1.0, 1.2, 0.0, 0.46, False),
     ],
 )
-def test_a_child_must_explain_a_low_volume_clearly_better(
-    gain: float, low_m: float | None, walked_m: float, is_child: bool, monkeypatch: pytest.MonkeyPatch
+def test_who_stands_must_explain_a_low_volume_clearly_better_than_who_sits(
+    gain: float,
+    low_m: float | None,
+    walked_m: float,
+    pelvis_share: float,
+    is_child: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     tried = []
 
     def started(clip: person.VolumeClip, height: HeightEstimate, **_: Any) -> Any:
         tried.append((height, clip.observation.tools.body.height_m))
         value = -100.0 + (gain if height.is_measured else 0.0)
-        return SimpleNamespace(height=height, first=SimpleNamespace(log_likelihood=value, frame=0))
+        first = SimpleNamespace(log_likelihood=value, frame=0, state=pose)
+        return SimpleNamespace(height=height, first=first, tools=clip.observation.tools)
 
     monkeypatch.setattr(person, "_started", started)
     state = neutral_state(FLESH.body)
+    pose = state.copy()
+    pelvis_m = landmarks_of(FLESH.body, pose[None])[0, LANDMARKS.index("pelvis"), 2]
+    pose[2] += pelvis_share * HEIGHT_M - pelvis_m
     clip = quick_clip(state, rasterise(FLESH.body, FLESH.grid, state))
     assert clip.xyz is not None
     clip.xyz[1, 0] += walked_m
