@@ -86,11 +86,22 @@ def start_person(
     tools = clip.observation.tools
     resized = clip.with_tools(tools.resized(height.low_m / tools.body.height_m))
     small = _started(resized, HeightEstimate(height.low_m, True), seed=seed, is_size_fitted=is_size_fitted)
-    gain = small.first.log_likelihood - usual.first.log_likelihood
+    gain = _likelihood(clip, small) - _likelihood(clip, usual)
     numbers, row = tools.settings.method.start, int(np.searchsorted(clip.frames, usual.first.frame))
     is_walking = heading_of(walking_velocity(clip, row, numbers), numbers) is not None
     may_sit = not is_walking and not _stands(usual, numbers)
     return small if gain > (numbers.small_nats if may_sit else 0.0) else usual
+
+
+def _likelihood(clip: VolumeClip, start: Start) -> float:
+    """Log-likelihood of a first pose with the outlines as heavy as usual: where they are not all of the person they
+    count for less, and a body that leaves much unexplained would gain by it."""
+    usual, own = clip.observation.tools.settings, start.tools.settings
+    if own.outline_weight == usual.outline_weight:
+        return start.first.log_likelihood
+    tools = replace(start.tools.without_floor, settings=usual)
+    search = _search_at(clip.with_tools(tools), int(np.searchsorted(clip.frames, start.first.frame)))
+    return float(search.judge([start.first.state])[0])
 
 
 def _stands(start: Start, numbers: StartSettings) -> bool:

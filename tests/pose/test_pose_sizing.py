@@ -1,6 +1,7 @@
 """The size of a person from refined poses: where a cost is lowest, and bodies of another size than the model."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -276,3 +277,34 @@ def test_who_stands_must_explain_a_low_volume_clearly_better_than_who_sits(
     assert start.height == (child if is_child else usual)
     assert [height for height, _ in tried] == ([usual] if low_m is None else [usual, child])
     assert [size for _, size in tried] == pytest.approx([HEIGHT_M, 1.2][: len(tried)])
+
+
+@pytest.mark.parametrize(("judged", "is_small"), [(-41.0, False), (-39.0, True)])
+def test_who_is_taken_for_crowded_is_judged_by_the_same_outlines(
+    judged: float, is_small: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pose that leaves much unexplained has its outlines count for less, and looks better by it."""
+    weights = []
+
+    def started(clip: person.VolumeClip, height: HeightEstimate, **_: Any) -> Any:
+        own = clip.observation.tools
+        if height.is_measured:
+            own = replace(own, settings=replace(own.settings, outline_weight=0.3))
+        first = SimpleNamespace(log_likelihood=-10.0 if height.is_measured else -100.0, frame=1, state=state)
+        return SimpleNamespace(height=height, first=first, tools=own)
+
+    def search_at(clip: person.VolumeClip, row: int) -> Any:
+        own = clip.observation.tools
+        weights.append((own.settings.outline_weight, own.surface_fit.floor_gain, own.body.height_m, row))
+        return SimpleNamespace(judge=lambda states: np.array([judged]))
+
+    monkeypatch.setattr(person, "_started", started)
+    monkeypatch.setattr(person, "_search_at", search_at)
+    state = neutral_state(FLESH.body)
+    state[2] -= 0.4  # nobody stands like this
+    clip = quick_clip(state, rasterise(FLESH.body, FLESH.grid, state))
+    usual = clip.observation.tools.settings.outline_weight
+    start = person.start_person(clip, HeightEstimate(DEFAULT_HEIGHT_M, False, 1.5), seed=0)
+    assert start.height.is_measured == is_small
+    assert weights == [(usual, 0.0, pytest.approx(1.5), 1)]
+    assert usual != 0.3
