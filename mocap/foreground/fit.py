@@ -29,13 +29,13 @@ _LEAST_LIKENESS, _LEAST_DIFFERING = 0.75, 0.005
 _CELLS, _OF_CELLS = (10, 8), 0.6
 _LEAST_TEXTURE = 1.5  # levels; rooms have 3 to 7. Bare walls are alike everywhere
 _LEAST_CELLS = 8  # with texture
-# Edges round what stands in one of two pictures, over those of the other picture at the same place: of somebody who
-# stays in the recording 0.1 to 0.7, of his shadow 1.4 at most, of somebody in the clip 2.1 and more, where they are not
-# one with others (the same command, and people who sit at tables).
+# Edges round what stands in one of two pictures, over those of the other picture at the same place: of regions near
+# each other together, somebody who stays in the recording has 0.1 to 0.7, his shadow 1.4 at most, somebody in the clip
+# mostly 2.1 and more (the same command, and people who sit at tables).
 _STRONGER = 1.7
 _DARK = 16.0  # levels below which edges are noise
 _LEAST_THING_PX = 150.0  # of 640 x 480
-_APART_PX = 16.0  # of 640: regions nearer to each other are judged as one
+_APART_PX = 16.0  # of 640: regions nearer to each other belong together
 # What is not in the recording differs in so many of the pictures: in the others somebody may stand just there. The same
 # command counts what is found of somebody in the clip.
 _MOSTLY = 0.6
@@ -165,29 +165,33 @@ def _gone(differs: Mask, mean: NDArray[np.float32], usual: NDArray[np.float32]) 
     """Regions that differ in most pictures and stand in the clip, with their rims.
 
     What stands somewhere has edges round it; where it does not stand the room goes on. Who stands in the recording, and
-    holds still, keeps his place this way, with what he hides of his chair and his shadow, which have edges of their own
-    in the clip: what is near to each other is one.
+    holds still, keeps his place this way, with what he hides of his chair: a region with edges in the clip has not gone
+    where it is one of several near each other that have more of them in the recording.
     """
     out = np.zeros(differs.shape, dtype=np.bool_)
     opened = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    _, pieces, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=8)
     is_large = stats[:, cv2.CC_STAT_AREA] >= _LEAST_THING_PX * differs.size / (640 * 480)
-    is_large[0] = False  # what is no piece
-    large = is_large[pieces].astype(np.uint8)
-    if not large.any():
+    is_large[0] = False  # what is no region
+    if not is_large.any():
         return out
+    large = is_large[labels].astype(np.uint8)
     reach = round(0.5 * _APART_PX * differs.shape[1] / 640)
-    n, groups = cv2.connectedComponents(cv2.dilate(large, np.ones((2 * reach + 1,) * 2, np.uint8)))
+    _, groups = cv2.connectedComponents(cv2.dilate(large, np.ones((2 * reach + 1,) * 2, np.uint8)))
     then, now = (_edges(picture) for picture in (mean, usual))
-    rims = cv2.morphologyEx(large, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)) > 0
-    for i in range(1, n):
-        is_own = groups == i
-        rim = rims & is_own
+
+    def rim_of(regions: Mask) -> Mask:
+        return cv2.morphologyEx(regions.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)) > 0
+
+    for i in np.flatnonzero(is_large):
+        region = labels == i
+        rim = rim_of(region)
         if not rim.any():  # the whole picture: there is no room left to compare with
             continue
         if then[rim].mean() > _STRONGER * now[rim].mean():
-            region = (large.astype(np.bool_) & is_own).astype(np.uint8)
-            out |= cv2.dilate(region, np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)) > 0
+            together = rim_of(large.astype(np.bool_) & (groups == groups[region][0]))
+            if then[together].mean() > now[together].mean():
+                out |= cv2.dilate(region.astype(np.uint8), np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)) > 0
     return out
 
 
