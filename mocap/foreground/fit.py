@@ -175,9 +175,9 @@ def _gone(differs: Mask, mean: NDArray[np.float32], usual: NDArray[np.float32]) 
     is_large[0] = False  # what is no region
     if not is_large.any():
         return out
-    large = is_large[labels].astype(np.uint8)
+    large = is_large[labels]
     reach = round(0.5 * _APART_PX * differs.shape[1] / 640)
-    _, groups = cv2.connectedComponents(cv2.dilate(large, np.ones((2 * reach + 1,) * 2, np.uint8)))
+    _, groups = cv2.connectedComponents(cv2.dilate(large.astype(np.uint8), np.ones((2 * reach + 1,) * 2)))
     then, now = (_edges(picture) for picture in (mean, usual))
 
     def rim_of(regions: Mask) -> Mask:
@@ -189,7 +189,7 @@ def _gone(differs: Mask, mean: NDArray[np.float32], usual: NDArray[np.float32]) 
         if not rim.any():  # the whole picture: there is no room left to compare with
             continue
         if then[rim].mean() > _STRONGER * now[rim].mean():
-            together = rim_of(large.astype(np.bool_) & (groups == groups[region][0]))
+            together = rim_of(large & (groups == groups[region][0]))
             if then[together].mean() > now[together].mean():
                 out |= cv2.dilate(region.astype(np.uint8), np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)) > 0
     return out
