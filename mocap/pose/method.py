@@ -118,6 +118,10 @@ class StartSettings(_Strict):
     n_opposite: int = 3
     """Candidates that face against the best one and are followed too: a person from behind has the silhouette of one
     from the front."""
+    same_nats: float = 25.0
+    """Poses are followed to the end in one frame after the other, the most promising first, until two are explained
+    alike, by so much; the better one counts. A third was asked in 8 of 21 searches, and wrong poses cost 20 to 120
+    (decision 115)."""
     n_searched: int = 3
     """Settled poses whose limbs are searched for."""
     max_limbs: int = 4
@@ -144,11 +148,11 @@ class StartSettings(_Strict):
     """A clip with fewer usable frames is too short to compare hypotheses over time."""
     short_factor: int = 3
     """Factor on `pose.n_first_poses` there: no motion will tell front from back."""
-    max_evaluations: int = 120_000
+    max_evaluations: int = 160_000
     """Most poses that are scored in one person's search, brief and thorough attempts of all frames together:
-    `pose.n_first_poses` is lowered to what they allow. The default takes 53,000 in its three frames, a clip of two
-    108,000. With 60,000 such a clip takes 2.1 s instead of 3.0, but one of 18 pairs of frames of development sessions
-    was started worse (51 mm instead of 34)."""
+    `pose.n_first_poses` is lowered to what they allow. The default takes 53,000 to 88,000 in its three frames, a clip
+    of two 151,000; with half of that one of 18 pairs of frames of development sessions was started worse (51 mm instead
+    of 34, when one of the two was followed to the end)."""
     crowded_share: float = 0.4
     """Share of a hull's surface that the body leaves unexplained, from which it holds much else than the person, if the
     silhouettes do too."""
@@ -306,6 +310,10 @@ class RepairSettings(_Strict):
     """Most that one frame may gain or lose, so that no single frame decides."""
     n_iterations: int = 7
     """Of the refinement in each frame."""
+    turn_s: float = 0.2
+    """Who faces another way after so short a time ..."""
+    turn_cosine: float = -0.5
+    """... by more than 120 degrees has not turned about, but was followed the wrong way round before or after."""
 
 
 @dataclass(frozen=True)

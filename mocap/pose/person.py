@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 
 import numpy as np
@@ -36,6 +36,7 @@ from mocap.pose.start import (
     walking_velocity,
 )
 from mocap.pose.texture import settle_on_texture
+from mocap.pose.turns import carry_over_turns
 from mocap.pose.volume import VolumeEvidence, VolumeObservation, VolumeTools
 from mocap.profiling import part
 from mocap.rng import rng_for
@@ -127,16 +128,16 @@ def _started(clip: VolumeClip, height: HeightEstimate, *, seed: int, is_size_fit
     n_first = affordable_first_poses(numbers, factor * tools.settings.n_first_poses, n_frames)
     searching = replace(tools, settings=replace(tools.settings, n_first_poses=n_first))
     with part("first poses"):
-        search, tried = _most_promising(clip.with_tools(searching), rows, seed=seed)
-    evidence = search.evidence
-    assert isinstance(evidence, VolumeEvidence)  # the clip is one of volumes
+        promising = _most_promising(clip.with_tools(searching), rows, seed=seed)
 
-    def settled(search: PoseSearch) -> list[FirstPose]:
+    def settled(search: PoseSearch, tried: Sequence[FirstPose]) -> list[FirstPose]:
         rng = rng_for(seed, "settle", clip.person, search.frame)
         with part("settle"):
             return settle_first_poses(search, tried, rng=rng)
 
-    hypotheses = settled(search)
+    search, tried, hypotheses = _best_explained(promising, settled, numbers)
+    evidence = search.evidence
+    assert isinstance(evidence, VolumeEvidence)  # the clip is one of volumes
     is_crowded = evidence.is_crowded(hypotheses[0].state)
     gentle = numbers.crowded_outline_weight
     if is_crowded and tools.settings.outline_weight > gentle:
@@ -144,7 +145,7 @@ def _started(clip: VolumeClip, height: HeightEstimate, *, seed: int, is_size_fit
         tools = replace(tools, settings=replace(tools.settings, outline_weight=gentle))
         searching = replace(searching, settings=replace(searching.settings, outline_weight=gentle))
         row = int(np.searchsorted(frames, search.frame))
-        hypotheses = settled(_search_at(clip.with_tools(searching), row))
+        hypotheses = settled(_search_at(clip.with_tools(searching), row), tried)
     clip = clip.with_tools(tools)
     with part("trial"):
         best, trial = choose_hypothesis(clip, hypotheses, seed=seed)
@@ -206,14 +207,33 @@ def _spread(rows: Sequence[int], n: int) -> list[int]:
 
 def _most_promising(
     clip: VolumeClip, rows: Sequence[int], *, seed: int
-) -> tuple[PoseSearch, list[FirstPose]]:
-    """That of some rows in which a first pose promises most, with the poses tried there."""
+) -> list[tuple[PoseSearch, list[FirstPose]]]:
+    """Some rows with the poses tried there, those in which a first pose promises most first."""
     searches = []
     for row in rows:
         search = _search_at(clip, row)
         rng = rng_for(seed, "first-pose", clip.person, search.frame)
         searches.append((search, try_first_poses(search, rng=rng)))
-    return max(searches, key=lambda entry: entry[1][0].log_likelihood)
+    return sorted(searches, key=lambda entry: -entry[1][0].log_likelihood)
+
+
+def _best_explained(
+    promising: Sequence[tuple[PoseSearch, list[FirstPose]]],
+    settled: Callable[[PoseSearch, list[FirstPose]], list[FirstPose]],
+    numbers: StartSettings,
+) -> tuple[PoseSearch, list[FirstPose], list[FirstPose]]:
+    """The frame that its poses explain best once they are settled, with those tried and settled there: of the most
+    promising ones, as many as it takes until two are explained alike. A search that was caught in a wrong pose gives
+    itself away by what another frame has.
+    """
+    found: list[tuple[PoseSearch, list[FirstPose], list[FirstPose]]] = []
+    for search, tried in promising:
+        found.append((search, tried, settled(search, tried)))
+        found.sort(key=lambda entry: -entry[2][0].log_likelihood)
+        best, *others = (poses[0].log_likelihood for _, _, poses in found)
+        if others and best < others[0] + numbers.same_nats:
+            break
+    return found[0]
 
 
 def choose_hypothesis(
@@ -424,6 +444,9 @@ def _followed(
             of_way_back[:] = back.observation.appearance.counts
 
     learnt = follow_both_ways(clip, first, seed=seed, take=take, leave=leave, progress=progress)
+    if tools.settings.look_again:
+        with part("turns"):
+            carry_over_turns(clip, series, partial(_looked_at, clip, seed=seed, stage="turn"))
     if tools.settings.repair and tools.settings.refine:
         # Where a limb was lost it has taught its own colours; on the other way it had its own place.
         observation = learnt.observation.knowing(of_way_back)

@@ -129,12 +129,12 @@ class PoseSearch:
 
 
 def affordable_first_poses(settings: StartSettings, n_first_poses: int, n_frames: int) -> int:
-    """How many first poses can be followed to the end so that a search in n_frames stays within its evaluations: at
-    most n_first_poses, at least one."""
+    """How many first poses can be followed to the end in each of n_frames so that their search stays within its
+    evaluations: at most n_first_poses, at least one."""
     thorough = settings.thorough_layers * settings.thorough_particles
     brief = settings.brief_factor * settings.brief_layers * settings.brief_particles
-    once = n_frames * N_KINDS * settings.n_directions * settings.n_copies + settings.n_opposite * thorough
-    return max(1, min(n_first_poses, (settings.max_evaluations - once) // (n_frames * brief + thorough)))
+    once = N_KINDS * settings.n_directions * settings.n_copies + settings.n_opposite * thorough
+    return max(1, min(n_first_poses, (settings.max_evaluations // n_frames - once) // (brief + thorough)))
 
 
 def try_first_poses(search: PoseSearch, *, rng: np.random.Generator) -> list[FirstPose]:

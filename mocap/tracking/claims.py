@@ -23,7 +23,7 @@ from mocap.tracking.features import (
     measure_voxels,
     weight_kg,
 )
-from mocap.tracking.heads import heads_of
+from mocap.tracking.heads import has_shoulders, heads_of
 from mocap.tracking.state import COASTING, RANK, TENTATIVE, Track, TrackerSettings
 from mocap.tracking.voxels import FrameVoxels
 
@@ -501,16 +501,19 @@ def _come_apart(frame: Frame, tracks: tuple[Track, ...], claims: dict[int, Claim
 def _apart(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> list[Claim]:
     """One claim for each head of a component, by the nearest head; none where they are not all persons.
 
-    like_share : what is less of an equal share has no head of its own.
+    like_share : what is less of an equal share has no head of its own; nor has what has no shoulders under it.
     """
     centers = frame.voxels.centers[voxels]
     heads = heads_of(centers, frame.settings.voxel_size_m)
     while len(heads) > 1:
         nearest = np.linalg.norm(centers[:, None, :2] - heads, axis=2).argmin(axis=1)
         count = np.bincount(nearest, minlength=len(heads))
-        if count.min() >= like_share * len(voxels) / len(heads):
+        is_body = count >= like_share * len(voxels) / len(heads)
+        for i in np.flatnonzero(is_body):
+            is_body[i] = has_shoulders(centers[nearest == i], heads[i], frame.settings.voxel_size_m)
+        if is_body.all():
             break
-        heads = np.delete(heads, count.argmin(), axis=0)
+        heads = np.delete(heads, np.where(is_body, len(voxels), count).argmin(), axis=0)
     else:
         return []
     shares = [replace(claim_of(frame, voxels[nearest == i]), is_shared=True) for i in range(len(heads))]

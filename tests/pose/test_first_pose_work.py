@@ -13,7 +13,8 @@ def evaluations(settings: StartSettings, n_kinds: int, n_first_poses: int, n_fra
     tried = n_kinds * settings.n_directions * settings.n_copies
     brief = settings.brief_factor * n_first_poses * settings.brief_layers * settings.brief_particles
     followed = n_first_poses + settings.n_opposite
-    return n_frames * (tried + brief) + followed * settings.thorough_layers * settings.thorough_particles
+    thorough = followed * settings.thorough_layers * settings.thorough_particles
+    return n_frames * (tried + brief + thorough)
 
 
 @pytest.fixture

@@ -1,4 +1,6 @@
-"""Where in a clip a first pose is looked for: in the middle, or as near to it as the person stands."""
+"""Where in a clip a first pose is looked for: in the middle, or as near to it as somebody stands; and which counts."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +10,8 @@ from mocap.body import neutral_state
 from mocap.body.initial import HeightEstimate
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
-from mocap.pose.person import VolumeClip, _where_to_start
+from mocap.pose.method import StartSettings
+from mocap.pose.person import VolumeClip, _best_explained, _where_to_start
 from mocap.pose.volume import PersonHull, VolumeObservation
 from mocap.volume import surface_voxels
 
@@ -89,3 +92,29 @@ def test_rows_are_near_in_time_whatever_is_missing_between_them() -> None:
 )
 def test_where_nothing_tells_the_middle_is_taken(crouches: range, height: HeightEstimate) -> None:
     assert rows_for(crouches, height=height) == [40, 50, 60]
+
+
+@pytest.mark.parametrize(
+    ("explained", "asked", "chosen"),
+    [
+        ([-90.0, -100.0, -50.0], 2, 0),
+        ([-100.0, -90.0, -50.0], 2, 1),
+        ([-130.0, -90.0, -120.0], 3, 1),
+        ([-90.0, -130.0, -80.0], 3, 2),
+        ([-130.0], 1, 0),
+    ],
+    ids=["two alike", "the second better", "the first caught in a wrong pose", "the third best", "one frame"],
+)
+def test_a_wrong_pose_gives_itself_away_by_another_frame(
+    explained: list[float], asked: int, chosen: int
+) -> None:
+    settled = []
+
+    def settle(search: int, tried: list[str]) -> list[SimpleNamespace]:
+        settled.append(search)
+        return [SimpleNamespace(log_likelihood=explained[search])]
+
+    promising = [(frame, [f"tried in {frame}"]) for frame in range(len(explained))]
+    search, tried, poses = _best_explained(promising, settle, StartSettings(same_nats=25.0))
+    assert settled == list(range(asked))
+    assert (search, tried, poses[0].log_likelihood) == (chosen, [f"tried in {chosen}"], explained[chosen])

@@ -150,7 +150,8 @@ def test_who_has_two_heads_for_a_while_is_two():
 
 def test_who_was_followed_keeps_the_share_that_is_nearest():
     """Not that of the higher head."""
-    tall = [box(0.3, 0.0, 0.1, 0.15, 0.0, 1.15, BLUE), box(0.3, 0.0, 0.1, 0.1, 1.15, 1.9, BLUE)]
+    trunk, head = box(0.3, 0.0, 0.1, 0.1, 0.0, 1.45, BLUE), box(0.3, 0.0, 0.1, 0.1, 1.6, 1.9, BLUE)
+    tall = [trunk, box(0.3, 0.0, 0.15, 0.2, 1.45, 1.6, BLUE), head]
     infos, _ = run([[ARMS, *person(-0.3, 0.0, RED), *tall]] * 12, settings())
     assert persons_in(infos)[-1] == 2
     places = {t.person: float(t.xyz[0]) for t in infos[-1].tracks}
@@ -170,6 +171,40 @@ def test_a_fist_held_up_is_no_second_head():
     assert len(heads(boxes, 0.05)) == 2
     infos, _ = run([boxes] * 12, settings())
     assert persons_in(infos) == [1] * 12
+
+
+# Legs apart: by the nearest of the head and a hand that is held up each has half.
+STRADDLING = [
+    *(box(x, 0.0, 0.1, 0.15, 0.0, 0.9) for x in (-0.15, 0.25)),
+    box(0.05, 0.0, 0.25, 0.15, 0.9, 1.45),
+    box(0.0, 0.0, 0.1, 0.1, 1.45, 1.75),
+]
+RAISED = box(0.35, 0.0, 0.1, 0.1, 1.3, 2.1)
+
+
+def test_half_of_a_body_under_a_hand_held_up_is_no_person():
+    boxes = [*STRADDLING, RAISED]
+    found = heads(boxes, 0.05)
+    assert len(found) == 2
+    centers = observe(boxes).centers
+    near = np.linalg.norm(centers[:, None, :2] - found, axis=2).argmin(axis=1)
+    assert np.bincount(near).min() > 0.7 * len(centers) / 2
+    infos, _ = run([boxes] * 12, settings())
+    assert persons_in(infos) == [1] * 12
+
+
+def test_a_hand_that_has_more_than_a_child_is_no_person_and_the_child_is():
+    child = box(-0.5, 0.0, 0.125, 0.15, 0.0, 1.15)
+    infos, _ = run([[*STRADDLING, RAISED, box(-0.3, 0.0, 0.15, 0.05, 0.6, 0.7), child]] * 12, settings())
+    assert persons_in(infos)[-1] == 2
+    places = sorted(float(t.xyz[0]) for t in infos[-1].tracks)
+    assert places[0] < -0.35 < 0.0 < places[1]
+
+
+def test_a_child_has_shoulders_of_its_own_size():
+    pair = [box(0.0, 0.0, 0.3, 0.05, 0.3, 0.6), *(box(x, 0.0, 0.1, 0.1, 0.0, 1.1) for x in (-0.3, 0.3))]
+    infos, _ = run([pair] * 4, settings())
+    assert persons_in(infos) == [2] * 4
 
 
 def test_where_one_is_expected_nobody_parts_from_him():
