@@ -57,6 +57,8 @@ def has_shoulders(body: Array, head: Array, voxel_size_m: float) -> bool:
     """
     aside = np.hypot(body[:, 0] - head[0], body[:, 1] - head[1])
     top = body[aside <= max(_FINGERS_M, voxel_size_m), 2].max(initial=0.0) + voxel_size_m / 2
-    below = np.abs(body[:, 2] - (1 - _DOWN) * top) <= _SLAB_M / 2
-    section = ((aside <= _ASIDE_M) & below).sum() * voxel_size_m**3 / _SLAB_M
+    n_layers = max(1, round(_SLAB_M / voxel_size_m))
+    layer = np.floor((body[:, 2] - (1 - _DOWN) * top) / voxel_size_m + n_layers / 2)
+    in_slab = (aside <= _ASIDE_M) & (layer >= 0) & (layer < n_layers)
+    section = in_slab.sum() * voxel_size_m**2 / n_layers
     return bool(section >= _SECTION * top**2)

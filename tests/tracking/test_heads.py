@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from bodies import BLUE, GREEN, RED, box, confirmed, observe, person, run, settings
 
-from mocap.tracking.heads import heads_of
+from mocap.tracking.heads import has_shoulders, heads_of
 
 # What few cameras see between people: as high as their shoulders, and wider than they are.
 BETWEEN = box(0.0, 0.0, 0.6, 0.25, 0.0, 1.25)
@@ -191,6 +191,17 @@ def test_half_of_a_body_under_a_hand_held_up_is_no_person():
     assert np.bincount(near).min() > 0.7 * len(centers) / 2
     infos, _ = run([boxes] * 12, settings())
     assert persons_in(infos) == [1] * 12
+
+
+@pytest.mark.parametrize("side", [0.02, 0.03, 0.04, 0.05, 0.08])
+@pytest.mark.parametrize(("half_m", "is_wide"), [(0.13, True), (0.09, False)])
+def test_shoulders_are_as_wide_with_voxels_of_any_size(side, half_m, is_wide):
+    """551 cm² at 1.75 m: a square of 23.5 cm."""
+    rows = np.arange(-0.3, 0.3, side)
+    heights = np.arange(side / 2, 1.75, side)
+    body = np.stack(np.meshgrid(rows, rows, heights, indexing="ij"), axis=-1).reshape(-1, 3)
+    body = body[np.abs(body[:, :2]).max(axis=1) <= half_m]
+    assert has_shoulders(body, np.zeros(2), side) == is_wide
 
 
 def test_a_hand_that_has_more_than_a_child_is_no_person_and_the_child_is():
