@@ -28,6 +28,7 @@ from mocap.foreground import (
     pieces_within,
     reduction_of,
     refine_mask,
+    still_pieces_in,
     stirring_of,
     things_in,
     with_floor,
@@ -211,7 +212,7 @@ def standing_things(
         for parts in (things, rest)
     )
     alone = [own & a & ~b for own, a, b in zip(rest, thing, person, strict=True)]
-    return [found | more for found, more in zip(things, each(things_in, alone, stirring), strict=True)]
+    return [found | more for found, more in zip(things, each(still_pieces_in, alone, stirring), strict=True)]
 
 
 def _beside(masks: Sequence[Mask], others: Sequence[Mask]) -> list[Mask]:

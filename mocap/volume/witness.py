@@ -22,6 +22,8 @@ Voxels = NDArray[np.int32]
 _SHADOW_M = 0.06  # a shadow on the floor is no volume
 _PERSON_LITRES = 8.0
 _PERSON_TOP_M = 0.5
+# Still shanks of who stands have 3 each, as cameras see them that take them for a thing, a chair 72 (decision 116).
+_THING_LITRES = 10.0
 _KNEE_M = 0.45  # feet stand still: what reaches below the knee reaches the floor
 _CUT_KNEE_M = 0.6  # a lower leg that stands still is missing in all cuts alike, knee and all
 _FOOT_M = 0.16  # height of a foot
@@ -35,6 +37,7 @@ _CUT_MARGIN_PX = 3  # a cut may be off by so much
 _THING_RIM_PX = 5  # beside what is told to keep still, which is smaller than the thing
 _CORE_PX = 7  # what lies further inside is likely
 _SURE_PX = 11  # and what lies still further inside of what nearly all cameras say is certain
+_OWN_PX = 4  # and what a camera has cut itself and others bear out is, whatever its colours
 # Of the cameras, that may miss a part: trousers as dark as the floor were in five cuts of eight (decision 83,
 # `python -m eval.no_empty_clip`, scene in_place_alike).
 _MINORITY = 0.375
@@ -88,13 +91,15 @@ class Witness:
         ).astype(np.int32)
         agreed = self._where_somebody_was(cuts, int(_FEW * n_cameras))
         told = zip(
-            self._told(nearly_all, wide), self._told(most, wide), self._seen(agreed), cuts, bare, strict=True
-        )
+            self._told(nearly_all, wide), self._told(most, wide), self._seen(nearly_all), self._seen(agreed),
+            cuts, bare, strict=True,
+        )  # fmt: skip
         out = []
-        for (may, must), (may_too, must_too), certain, cut, room in told:
+        for (may, must), (may_too, must_too), borne_out, certain, cut, room in told:
             allowed = may | (may_too & ~room)
             likely = cut | must | (must_too & ~room)
-            out.append(Guess(allowed, allowed & likely, allowed & _inside(certain, _SURE_PX)))
+            sure = _inside(certain, _SURE_PX) | _inside(cut & borne_out & ~room, _OWN_PX)
+            out.append(Guess(allowed, allowed & likely, allowed & sure))
         return out
 
     def _told(self, voxels: Voxels, wide: Voxels) -> list[tuple[Mask, Mask]]:
@@ -118,10 +123,13 @@ class Witness:
         return self._seen(self._carver.carve(masks, n_faulty_views=self._tolerance))
 
     def in_some(self, masks: Sequence[Mask], n_cameras: int) -> list[Mask]:
-        """What at least so many cameras have in their masks, (H, W) bool per camera, as each sees it; no shoes."""
+        """What at least so many cameras have in their masks, (H, W) bool per camera, as each sees it, but for shoes and
+        what is no larger than legs."""
         n_others = len(self._rig) - n_cameras
         voxels = self._carver.carve(masks, n_faulty_views=n_others, min_votes=n_cameras)
-        return self._seen(voxels[self.grid.centers(voxels)[:, 2] > _FOOT_M])
+        voxels = voxels[self.grid.centers(voxels)[:, 2] > _FOOT_M]
+        labels, n = connected_components(voxels, self.grid)
+        return self._seen(voxels[(self._litres(labels, n) >= _THING_LITRES)[labels]])
 
     def columns(self, cuts: Sequence[Mask]) -> list[Mask]:
         """What stands straight under somebody's legs in the cuts of one instant, (H, W) bool per camera: he hides the
@@ -156,10 +164,13 @@ class Witness:
     def _persons(self, voxels: Voxels) -> Voxels:
         """The components that can be persons."""
         labels, n = connected_components(voxels, self.grid)
-        litres = np.bincount(labels, minlength=n) * self.grid.voxel_size_m**3 * 1000.0
         top = np.zeros(n)
         np.maximum.at(top, labels, self.grid.centers(voxels)[:, 2])
-        return voxels[((litres >= _PERSON_LITRES) & (top >= _PERSON_TOP_M))[labels]]
+        return voxels[((self._litres(labels, n) >= _PERSON_LITRES) & (top >= _PERSON_TOP_M))[labels]]
+
+    def _litres(self, labels: NDArray[np.int32], n: int) -> NDArray[np.float64]:
+        """The volume of each of n components, (n,)."""
+        return np.asarray(np.bincount(labels, minlength=n) * self.grid.voxel_size_m**3 * 1000.0)
 
     def _whole(self, voxels: Voxels) -> Voxels:
         """The voxels with legs and heads, where those can be missing."""

@@ -19,6 +19,7 @@ from mocap.foreground import (
     key_pictures,
     median_background,
     pieces_within,
+    still_pieces_in,
     stirring_of,
     things_in,
     with_floor,
@@ -220,6 +221,20 @@ def test_what_is_in_all_cuts_and_stands_still_is_a_thing(shade: float) -> None:
     keys = key_pictures(pictures)
     person = silhouettes.all(axis=0)
     np.testing.assert_array_equal(things_in(person | table, stirring_of(keys)), table)
+
+
+@pytest.mark.parametrize(("rows_moving", "is_thing"), [(0, True), (2, True), (8, False), (60, False)])
+def test_who_keeps_still_within_outlines_that_move_is_no_thing(rows_moving: int, is_thing: bool) -> None:
+    """Trunk and legs of who raises a hand stir as little as a table, before one end of which somebody passes."""
+    trunk = np.zeros((H, W), dtype=np.bool_)
+    trunk[20:80, 50:80] = True
+    beside = (cv2.dilate(trunk.astype(np.uint8), np.ones((13, 13))) > 0) & ~trunk
+    beside[20 + rows_moving :] = False
+    stirring = np.where(trunk, np.float32(3), np.where(beside, np.float32(7), np.float32(1)))
+    np.testing.assert_array_equal(still_pieces_in(trunk, stirring), trunk)
+    np.testing.assert_array_equal(things_in(trunk, stirring), trunk & is_thing)
+    assert not still_pieces_in(trunk, stirring + 3).any()
+    assert not things_in(trunk, stirring + 3).any()
 
 
 def test_a_chair_keeps_its_edges_and_a_plain_shirt_does_not() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from outline_world import box_silhouettes
 from test_occluders import on_floor, ring_rig, standing_silhouettes
 
 from mocap.data import Camera, CameraRig, VoxelGrid
@@ -136,23 +137,35 @@ def test_nearly_all_others_are_believed_against_it(
     assert witness.corrected(cuts, bare)[1].likely[inner].any() == is_likely
 
 
-def broad(i_missing: int | None = None) -> tuple[list[np.ndarray], list[Guess]]:
-    """Somebody twice as broad, whom camera i_missing does not see, and what is said of him."""
+def broad(lacking: tuple[int, ...] = (), bare: bool = False) -> tuple[list[np.ndarray], list[Guess]]:
+    """Somebody twice as broad, whom some cameras do not see, and what is said of him.
+
+    bare : every camera shows the room, as it knows it, all over.
+    """
     sides = [standing_silhouettes(AT + np.array([dx, dy])) for dx in (-0.2, 0.2) for dy in (-0.2, 0.2)]
     person = [np.logical_or.reduce(own) for own in zip(*sides, strict=True)]
-    cuts = [p & (i != i_missing) for i, p in enumerate(person)]
-    return person, Witness(ring_rig(), ROOM, person).corrected(cuts, nowhere(cuts))
+    cuts = [p & (i not in lacking) for i, p in enumerate(person)]
+    return person, Witness(ring_rig(), ROOM, person).corrected(cuts, [np.full_like(p, bare) for p in person])
 
 
 def test_what_all_cuts_have_is_sure_but_for_its_rim() -> None:
-    for person, guess in zip(*broad(), strict=True):
+    """A rim of 4 pixels of the own cut, and where the room shows of 11 from a hull that may be two pixels larger."""
+    for bare, rim, inner in ((False, 3, 6), (True, 7, 14)):
+        for person, guess in zip(*broad(bare=bare), strict=True):
+            inside = cv2.distanceTransform(person.astype(np.uint8), cv2.DIST_L2, 5)
+            assert not guess.sure[inside < rim].any()
+            assert guess.sure[inside > inner].all()
+
+
+def test_what_one_of_six_lacks_is_sure_in_the_cuts_of_the_others() -> None:
+    for i, (person, guess) in enumerate(zip(*broad(lacking=(3,)), strict=True)):
         inside = cv2.distanceTransform(person.astype(np.uint8), cv2.DIST_L2, 5)
-        assert not guess.sure[inside < 7].any()  # 11 from a hull that may be two pixels larger
-        assert guess.sure[inside > 14].all()
+        assert guess.sure[inside > 6].all() if i != 3 else not guess.sure.any()
 
 
-def test_what_one_of_six_lacks_is_not_sure() -> None:
-    assert not any(guess.sure.any() for guess in broad(i_missing=3)[1])
+@pytest.mark.parametrize(("lacking", "bare"), [((3,), True), ((3, 5), False)])
+def test_what_two_of_six_lack_or_what_is_bare_is_not_sure(lacking: tuple[int, ...], bare: bool) -> None:
+    assert not any(guess.sure.any() for guess in broad(lacking, bare)[1])
 
 
 def test_cuts_agree_only_where_somebody_was(witness: Witness) -> None:
@@ -232,6 +245,23 @@ def test_a_thing_is_where_enough_cameras_have_it(witness: Witness, silhouettes: 
     assert not any(found.any() for found in witness.in_some(some, 4))
     for found, person in zip(witness.in_some(some, 3), some, strict=True):
         assert not person.any() or found[person].mean() > 0.8
+
+
+@pytest.mark.parametrize(("seat_m", "is_thing"), [(0.0, False), (0.4, True)])
+def test_shanks_that_keep_still_are_no_thing(seat_m: float, is_thing: bool) -> None:
+    """Two of them before three cameras, or a stool of their height."""
+    rig = CameraRig(tuple(ring_rig())[::2])
+    room = VoxelGrid.from_bounds(np.array([-0.6, -0.6, 0.0]), np.array([0.6, 0.6, 2.0]), 0.04)
+    witness = Witness(rig, room, [np.ones(camera.size[::-1], dtype=np.bool_) for camera in rig])
+    boxes = [((x, 0.0, 0.0), (x + 0.1, 0.1, 0.45)) for x in (-0.2, 0.2)]
+    if seat_m:
+        boxes.append(((-0.2, -0.2, 0.1), (-0.2 + seat_m, -0.2 + seat_m, 0.45)))
+    things = [
+        np.logical_or.reduce(parts)
+        for parts in zip(*(box_silhouettes(rig, *box, 0.02) for box in boxes), strict=True)
+    ]
+    for found, thing in zip(witness.in_some(things, 3), things, strict=True):
+        assert found[thing].mean() > 0.5 if is_thing else not found.any()
 
 
 def test_shoes_are_no_thing(witness: Witness) -> None:
