@@ -192,6 +192,10 @@ def standing_things(
         return always
     stirring: list[NDArray[np.float32]] = list(each(stirring_of, keys))
     things: list[Mask] = list(each(things_in, always, stirring))
+    # Whoever stays does so before enough cameras: what fewer have in all cuts needs no edges of its own.
+    still = list(each(still_pieces_in, always, stirring))
+    staying = _within(still, witness.in_some(always, _MUST_AGREE), _A_SAY)
+    things = [found | more for found, more in zip(things, _beside(still, staying), strict=True)]
     held: list[Mask] = list(each(held_things_in, always, stirring))
     if not any(found.any() for found in (*things, *held)):
         return things

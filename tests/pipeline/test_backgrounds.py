@@ -21,6 +21,7 @@ from mocap.foreground import (
     Segmenter,
     held_things_in,
     key_pictures,
+    still_pieces_in,
     stirring_of,
     things_in,
 )
@@ -352,6 +353,26 @@ def test_one_camera_alone_makes_no_thing_of_a_person(deaf: Sequence[int]) -> Non
     ]
     things = standing_things([[mask] * 12 for mask in body], keys, Witness(rig, ROOM, body))
     assert [bool(found.any()) for found in things] == [c in deaf and len(deaf) > 1 for c in range(len(rig))]
+
+
+@pytest.mark.parametrize("seeing", [range(5), range(3), range(2)])
+def test_who_keeps_still_but_for_his_outlines_stays_where_three_cameras_have_him(
+    seeing: Sequence[int],
+) -> None:
+    """What is in all cuts of two cameras alone nobody is, however it moves all round: others would have him, too."""
+    rig, rng = make_rig(), np.random.default_rng(9)
+    body = box_silhouettes(rig, (-0.25, -0.25, 0.0), (0.25, 0.25, 1.7), 0.03)
+    always = [mask & (c in seeing) for c, mask in enumerate(body)]
+    keys = [plain([mask] * 12, [110] * 12, rng) for mask in always]
+    for key, mask in zip(keys, always, strict=True):
+        rim = grown(mask, 5) & ~mask
+        for k, picture in enumerate(key.pictures):
+            picture[rim] = np.clip(picture[rim].astype(np.int64) + (8 if k % 2 else -8), 0, 255)
+        assert not things_in(mask, stirring_of(key)).any()
+        assert still_pieces_in(mask, stirring_of(key)).sum() == mask.sum()
+    things = standing_things([[mask] * 12 for mask in always], keys, Witness(rig, ROOM, body))
+    for found, mask in zip(things, always, strict=True):
+        assert found.sum() == (mask.sum() if len(seeing) < 3 else 0)
 
 
 SITS = ((0.15, -0.2, 0.42), (0.45, 0.2, 0.6)), ((0.35, -0.2, 0.0), (0.45, 0.2, 0.5))  # thighs and shins
