@@ -141,8 +141,8 @@ def first_cuts(keys: KeyPictures, region: Mask) -> list[Mask]:
         # A shirt of the floor's colour is told where it hides a wall, by how it differs from what is painted in there.
         unlike = np.clip(_MIDDLE + _CONTRAST * (picture.astype(np.float32) - empty), 0, 255).astype(np.uint8)
         cuts.append(
-            refine_mask(picture, region, likely, reduction=2)
-            | refine_mask(unlike, region, likely, reduction=2)
+            refine_mask(picture, region, likely, n_iterations=1)
+            | refine_mask(unlike, region, likely, n_iterations=1)
         )
     return cuts
 
