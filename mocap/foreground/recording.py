@@ -140,10 +140,7 @@ def first_cuts(keys: KeyPictures, region: Mask) -> list[Mask]:
         likely = region & keys.is_active & differs
         # A shirt of the floor's colour is told where it hides a wall, by how it differs from what is painted in there.
         unlike = np.clip(_MIDDLE + _CONTRAST * (picture.astype(np.float32) - empty), 0, 255).astype(np.uint8)
-        cuts.append(
-            refine_mask(picture, region, likely, n_iterations=1)
-            | refine_mask(unlike, region, likely, n_iterations=1)
-        )
+        cuts.append(refine_mask(picture, region, likely) | refine_mask(unlike, region, likely))
     return cuts
 
 

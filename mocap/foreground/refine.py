@@ -17,15 +17,14 @@ def refine_mask(
     likely: Mask,
     sure: Mask | None = None,
     *,
-    n_iterations: int = 3,
-    reduction: int = 1,
+    n_looks: int = 2,
 ) -> Mask:
     """The person's outline in a picture, found by colours and edges from a guess.
 
     image : (H, W, 3) uint8 RGB.  allowed : (H, W) bool, outside is surely background: the reprojected hull of other
     cameras with a margin.  likely : (H, W) bool, the guess; what is allowed and not likely may still become person.
     sure : (H, W) bool, what stays person whatever its colour, as far as it is allowed; None = nothing.
-    reduction : the picture is cut smaller by this factor, which takes a share 1 / reduction^2 of the time.
+    n_looks : how often the colours of both are learnt anew from the outline; each takes as long as the first.
     Nothing likely, or nothing that is surely background: the guess comes back, as far as it is allowed.
     Raises ValueError for shapes that do not match. The result does not depend on earlier calls.
     """
@@ -39,21 +38,13 @@ def refine_mask(
     classes[guess[rows, columns]] = cv2.GC_PR_FGD
     classes[(allowed & sure)[rows, columns]] = cv2.GC_FGD
     picture = np.ascontiguousarray(image[rows, columns])
-    height, width = classes.shape
-    if reduction > 1:
-        size = (max(1, width // reduction), max(1, height // reduction))
-        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-        classes = cv2.resize(classes, size, interpolation=cv2.INTER_NEAREST)
     is_person = _is_person(classes)
     if not is_person.any() or is_person.all():
         return guess
     cv2.setRNGSeed(0)  # GrabCut starts its colour models from a random clustering
-    cv2.grabCut(
-        picture, classes, None, np.zeros((1, 65)), np.zeros((1, 65)), n_iterations, cv2.GC_INIT_WITH_MASK
-    )
-    found = _is_person(classes).astype(np.uint8)
+    cv2.grabCut(picture, classes, None, np.zeros((1, 65)), np.zeros((1, 65)), n_looks, cv2.GC_INIT_WITH_MASK)
     out = np.zeros(image.shape[:2], dtype=np.bool_)
-    out[rows, columns] = cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    out[rows, columns] = _is_person(classes)
     return out & allowed
 
 

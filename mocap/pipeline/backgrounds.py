@@ -202,9 +202,10 @@ def standing_things(
     changing = _changing_themselves(always, keys, witness, each)
     things = _without(things, changing, _OWN_CHANGE)
     things = _without(things, witness.agreed(_beside(always, things)), _A_SAY)
+    things = _nobody_floats(things, cuts, witness, hands_only=True)
     held = _without(held, changing, _SEAT)
     # What goes from some cameras may have been what others agreed with.
-    held = _agreed(_nobody_floats(_agreed(held, witness), cuts, witness), witness)
+    held = _agreed(_nobody_floats(_agreed(held, witness), cuts, witness, hands_only=False), witness)
     things = [found | more for found, more in zip(things, held, strict=True)]
     # Somebody who is always before a thing, or behind it, is one piece with it: others say where each of them is.
     rest = _beside(always, things)
@@ -238,18 +239,20 @@ def _agreed(things: Sequence[Mask], witness: Witness) -> list[Mask]:
     return _within(things, witness.in_some(things, _MUST_AGREE), _A_SAY)
 
 
-def _nobody_floats(things: Sequence[Mask], cuts: Sequence[Sequence[Mask]], witness: Witness) -> list[Mask]:
-    """The things of each camera but for legs of somebody who stands still, without which he mostly hangs in the air.
+def _nobody_floats(
+    things: Sequence[Mask], cuts: Sequence[Sequence[Mask]], witness: Witness, *, hands_only: bool
+) -> list[Mask]:
+    """The things of each camera but for bodies of persons, who mostly hang in the air without them.
 
-    Who sits on a thing has his feet on the floor.
+    Who sits on a thing, or walks round it, has his feet on the floor.  hands_only : as of Witness.carrying.
     """
     if not any(found.any() for found in things):
         return list(things)
     instants = list(zip(*cuts, strict=True))
     votes = [np.zeros(found.shape, dtype=np.int64) for found in things]
     for instant in instants:
-        legs = _within(things, witness.carrying(instant, things), _A_SAY)
-        votes = [own + more for own, more in zip(votes, legs, strict=True)]
+        bodies = _within(things, witness.carrying(instant, things, hands_only=hands_only), _A_SAY)
+        votes = [own + more for own, more in zip(votes, bodies, strict=True)]
     return [found & (2 * own <= len(instants)) for found, own in zip(things, votes, strict=True)]
 
 
@@ -271,7 +274,7 @@ def _changing_themselves(
 
 def _cut_again(picture: Image, guess: Guess) -> Mask:
     # More than one look at the colours takes twice the time, and cuts are no better (decision 83).
-    return refine_mask(picture, *guess, n_iterations=1)
+    return refine_mask(picture, *guess, n_looks=1)
 
 
 def _free_of_people(cuts: list[list[Mask]], witness: Witness) -> list[list[Mask]]:

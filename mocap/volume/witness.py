@@ -24,6 +24,10 @@ _PERSON_LITRES = 8.0
 _PERSON_TOP_M = 0.5
 # Still shanks of who stands have 3 each, as cameras see them that take them for a thing, a chair 72 (decision 116).
 _THING_LITRES = 10.0
+_HAND_LITRES = 0.5  # somebody moves there, and be it a hand: a body that stirs little is no thing then
+_BODY_REACH_M = (
+    0.3  # seen from above, from what hangs in the air to what carries it: a trunk from a hand beside it
+)
 _KNEE_M = 0.45  # feet stand still: what reaches below the knee reaches the floor
 _CUT_KNEE_M = 0.6  # a lower leg that stands still is missing in all cuts alike, knee and all
 _FOOT_M = 0.16  # height of a foot
@@ -138,24 +142,33 @@ class Witness:
         person = self._persons(self._carver.carve(cuts, n_faulty_views=self._tolerance))
         return self._seen(self._to_the_floor(person, _CUT_KNEE_M, 0.0))
 
-    def carrying(self, cuts: Sequence[Mask], things: Sequence[Mask]) -> list[Mask]:
-        """What is straight below persons who reach no floor once things are gone, (H, W) bool per camera: their legs.
+    def carrying(self, cuts: Sequence[Mask], things: Sequence[Mask], *, hands_only: bool) -> list[Mask]:
+        """Whoever hangs in the air once things are gone, with what holds him up, (H, W) bool per camera.
 
-        cuts, things : (H, W) bool per camera, of one instant.
+        A person of whom a hand alone is left, or all but his legs, has had his body taken for a thing; who walks round
+        a thing, or sits on it, has his feet on the floor.
+        cuts, things : (H, W) bool per camera, of one instant.  hands_only : nobody of whom as much as a person is left;
+        furniture before him may have hidden his legs.
         """
+        whole = self._carver.carve(cuts, n_faulty_views=self._tolerance)
         # Things lack the rim of what they are, which would go on to hold him up.
         rest = [cut & ~_wider(thing, _THING_RIM_PX) for cut, thing in zip(cuts, things, strict=True)]
-        persons = self._persons(self._carver.carve(rest, n_faulty_views=self._tolerance))
-        labels, n = connected_components(persons, self.grid)
-        lowest = np.full(n, np.inf)
-        np.minimum.at(lowest, labels, self.grid.centers(persons)[:, 2])
-        floating = self.grid.dense(persons[(lowest > _FOOT_M)[labels]])
-        n_high = floating.shape[2]
-        sole = np.where(floating.any(axis=2), floating.argmax(axis=2), n_high).astype(np.float32)
-        sole = cv2.erode(sole, np.ones((3, 3), np.uint8))
-        below = (np.arange(n_high) < sole[:, :, None]) & (sole < n_high)[:, :, None]
-        all_of = self.grid.dense(self._carver.carve(cuts, n_faulty_views=self._tolerance))
-        return self._seen(np.flatnonzero((all_of & below).ravel()).astype(np.int32))
+        left = np.intersect1d(whole, self._carver.carve(rest, n_faulty_views=self._tolerance))
+        labels, n = connected_components(whole, self.grid)
+        piece_of = np.full(np.prod(self.grid.shape), -1, dtype=np.int32)
+        piece_of[whole] = labels
+        persons = self._persons(left.astype(np.int32))
+        own, n_persons = connected_components(persons, self.grid)
+        lowest = np.full(n_persons, np.inf)
+        np.minimum.at(lowest, own, self.grid.centers(persons)[:, 2])
+        hangs = self._litres(piece_of[left], n) >= _HAND_LITRES
+        stands = np.full(n_persons, hands_only) | (lowest <= _FOOT_M)
+        hangs[piece_of[persons[stands[own]]]] = False
+        columns = self.grid.dense(left[hangs[piece_of[left]]].astype(np.int32)).any(axis=2).astype(np.uint8)
+        near = cv2.dilate(columns, _disc(round(_BODY_REACH_M / self.grid.voxel_size_m))) > 0
+        return self._seen(
+            np.flatnonzero((self.grid.dense(whole) & near[:, :, None]).ravel()).astype(np.int32)
+        )
 
     def _seen(self, voxels: Voxels) -> list[Mask]:
         points = self.grid.centers(voxels[surface_voxels(voxels, self.grid)])

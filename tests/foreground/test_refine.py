@@ -65,14 +65,6 @@ def test_what_is_sure_stays_whatever_its_colour() -> None:
     assert not refine_mask(image, allowed & ~alike, truth, sure)[alike].any()
 
 
-def test_a_smaller_picture_gives_nearly_the_same() -> None:
-    image, truth = scene(7)
-    refined = refine_mask(image, grown(truth, 6), grown(truth, 3), reduction=2)
-    assert (
-        iou(refined, truth) > 0.93
-    )  # one pixel of the small picture more or less along an outline of 150 pixels
-
-
 def test_what_cannot_be_refined_comes_back() -> None:
     image, truth = scene(6)
     nothing = np.zeros((H, W), dtype=bool)
