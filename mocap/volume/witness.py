@@ -25,9 +25,7 @@ _PERSON_TOP_M = 0.5
 # Still shanks of who stands have 3 each, as cameras see them that take them for a thing, a chair 72 (decision 116).
 _THING_LITRES = 10.0
 _HAND_LITRES = 0.5  # somebody moves there, and be it a hand: a body that stirs little is no thing then
-_BODY_REACH_M = (
-    0.3  # seen from above, from what hangs in the air to what carries it: a trunk from a hand beside it
-)
+_BODY_REACH_M = 0.3  # seen from above, from what hangs in the air to what carries it: from a hand to a trunk
 _KNEE_M = 0.45  # feet stand still: what reaches below the knee reaches the floor
 _CUT_KNEE_M = 0.6  # a lower leg that stands still is missing in all cuts alike, knee and all
 _FOOT_M = 0.16  # height of a foot
