@@ -31,7 +31,14 @@ from mocap.products.masks import read_masks
 
 RESULTS = Path(__file__).with_name("results")
 DEVELOPMENT = ("gesture", "gesture_noisy", "box", "stand", "in_place", "in_place_alike", "walk")
-TEST = ("gesture_test", "gesture_noisy_test", "box_final", "in_place_test", "in_place_alike_test", "walk_test")
+TEST = (
+    "gesture_test",
+    "gesture_noisy_test",
+    "box_final",
+    "in_place_test",
+    "in_place_alike_test",
+    "walk_test",
+)
 SOURCES = ("clip", "median", "recording")
 FIELDS = ("mean_error_mm", "mean_error_after_offset_mm", "mmta_percent")
 Row = dict[str, str | float | int | None]
