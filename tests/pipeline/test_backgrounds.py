@@ -375,6 +375,21 @@ def test_who_keeps_still_but_for_his_outlines_stays_where_three_cameras_have_him
         assert found.sum() == (mask.sum() if len(seeing) < 3 else 0)
 
 
+@pytest.mark.parametrize("waves", [True, False])
+def test_who_would_be_but_a_hand_keeps_his_body(waves: bool) -> None:
+    """In noisy pictures nothing tells him from a cupboard but his arms, which are here and there."""
+    rig, rng = make_rig(), np.random.default_rng(10)
+    body = box_silhouettes(rig, (-0.15, -0.15, 0.0), (0.15, 0.15, 1.7), 0.03)
+    arms = [box_silhouettes(rig, (-0.65, -0.09, z), (0.65, 0.09, z + 0.18), 0.03) for z in (0.9, 1.3)]
+    keys = [plain([mask] * 12, [110] * 12, rng) for mask in body]
+    cuts = [[mask | (arms[k % 2][c] & waves) for k in range(12)] for c, mask in enumerate(body)]
+    for mask, key in zip(body, keys, strict=True):
+        assert things_in(mask, stirring_of(key)).sum() == mask.sum()
+    witness = Witness(rig, ROOM, [np.logical_or.reduce(own) for own in cuts])
+    gone = [found[mask].all() for found, mask in zip(standing_things(cuts, keys, witness), body, strict=True)]
+    assert sum(gone) == (2 if waves else 5)  # two cameras have too little of him beside his arms
+
+
 SITS = ((0.15, -0.2, 0.42), (0.45, 0.2, 0.6)), ((0.35, -0.2, 0.0), (0.45, 0.2, 0.5))  # thighs and shins
 
 
