@@ -93,24 +93,23 @@ class Witness:
         ).astype(np.int32)
         agreed = self._where_somebody_was(cuts, int(_FEW * n_cameras))
         told = zip(
-            self._told(nearly_all, wide), self._told(most, wide), self._seen(nearly_all), self._seen(agreed),
-            cuts, bare, strict=True,
-        )  # fmt: skip
+            self._told(nearly_all, wide), self._told(most, wide), self._seen(agreed), cuts, bare, strict=True
+        )
         out = []
-        for (may, must), (may_too, must_too), borne_out, certain, cut, room in told:
+        for (may, borne_out), (may_too, borne_too), certain, cut, room in told:
             allowed = may | (may_too & ~room)
-            likely = cut | must | (must_too & ~room)
+            likely = cut | _inside(borne_out, _CORE_PX) | (_inside(borne_too, _CORE_PX) & ~room)
             sure = _inside(certain, _SURE_PX) | _inside(cut & borne_out & ~room, _OWN_PX)
             out.append(Guess(allowed, allowed & likely, allowed & sure))
         return out
 
     def _told(self, voxels: Voxels, wide: Voxels) -> list[tuple[Mask, Mask]]:
-        """What is allowed and what is likely in each picture where a hull is believed.  wide : voxels that are allowed
+        """What is allowed in each picture where a hull is believed, and the hull.  wide : voxels that are allowed
         besides."""
         possible = np.union1d(wide, self._whole(voxels)).astype(np.int32)
         return [
-            (_wider(may, _CUT_MARGIN_PX), _inside(must, _CORE_PX))
-            for may, must in zip(self._seen(possible), self._seen(voxels), strict=True)
+            (_wider(may, _CUT_MARGIN_PX), hull)
+            for may, hull in zip(self._seen(possible), self._seen(voxels), strict=True)
         ]
 
     def _where_somebody_was(
