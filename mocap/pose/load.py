@@ -1,7 +1,7 @@
-"""What a person wears on the trunk, a rucksack or a wide skirt: what hulls hold beside all flesh, where the trunk goes.
+"""What goes with a person's trunk, a rucksack, a wide skirt or a box before it: what hulls hold there beside all flesh.
 
 A limb that is looked for there finds it better explained than the air in which the limb is. So it becomes flesh of the
-trunk while the person is followed once more.
+trunk while the person is followed again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Cells = NDArray[np.bool_]
 def find_load(
     observation: VolumeObservation, frames: NDArray[np.int64], states: Array, numbers: LoadSettings
 ) -> Cones | None:
-    """Flesh for what a person wears on the trunk: balls in the frame of the upper trunk, of the root's part.
+    """Flesh for what a person wears or holds: balls in the frame of the upper trunk, of the root's part.
 
     frames : (T,).  states : (T, D), the poses in which the person was followed, with some limbs lost in the load
     perhaps. None when there is nothing worth it, or when the person moves too little to tell.
@@ -40,7 +40,8 @@ def find_load(
     axis = (np.arange(2 * half) - half + 0.5) * numbers.cell_m
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     least_m = (numbers.beyond_m, numbers.deep * body.height_m)
-    beside, far = votes = [_Votes(cells.shape[:3], numbers) for _ in least_m]
+    judged = np.repeat([numbers.judged_share, numbers.judged_before], half)[:, None, None]
+    beside, far = votes = [_Votes(cells.shape[:3], judged, numbers) for _ in least_m]
     for i, row in enumerate(rows):
         hull = observation.hull_of(int(frames[row]))
         if hull is None or not len(hull.voxels):
@@ -55,6 +56,7 @@ def find_load(
             )
             is_left = is_filled & ~near[is_trunk].any(axis=0)
             is_limb = near[~is_trunk].any(axis=0)
+            is_limb[half:] |= is_limb[half:, ::-1]  # before the trunk both arms may hold what one holds
             vote.add(is_left & ~is_limb, is_left & is_limb)
     core = _largest(far.is_won)
     if core.sum() * numbers.cell_m**3 < numbers.least * body.height_m**3:
@@ -99,11 +101,12 @@ def upper_trunk(body: Body) -> int:
 class _Votes:
     """In how many frames cells around the trunk hold something that is no flesh.
 
-    Where a limb explains what is there, it says nothing: it may be lost there.
+    Where a limb explains what is there, it says nothing: it may be lost there.  judged : the least share of the
+    frames that must say something of a cell; broadcasts to the cells.
     """
 
-    def __init__(self, shape: tuple[int, ...], numbers: LoadSettings) -> None:
-        self._numbers = numbers
+    def __init__(self, shape: tuple[int, ...], judged: Array, numbers: LoadSettings) -> None:
+        self._numbers, self._judged = numbers, judged
         self._n_frames = 0
         self._n_filled, self._n_limbs = np.zeros((2, *shape), dtype=np.int64)
 
@@ -117,7 +120,7 @@ class _Votes:
     def is_won(self) -> Cells:
         """Cells that are filled in most of the frames that say something of them, where enough do."""
         n_judged = self._n_frames - self._n_limbs
-        is_known = n_judged >= self._numbers.judged_share * self._n_frames
+        is_known = n_judged >= self._judged * self._n_frames
         return is_known & (self._n_filled > self._numbers.share * n_judged)
 
 

@@ -388,11 +388,13 @@ class SizeSettings(_Strict):
 
 @dataclass(frozen=True)
 class LoadSettings(_Strict):
-    """When somebody wears something on the trunk, a rucksack for instance (decision 111)."""
+    """When somebody wears something on the trunk, or holds it before the trunk (decisions 111, 117)."""
 
     unexplained_share: float = 0.1
     """It is looked for where half of the frames leave more of the hull's surface unexplained: with a rucksack .11 to
     .43, in fitted clothes and a clean room .02 to .10."""
+    n_times: int = 2
+    """So often its owner is followed with it. With 1 an arm that was lost in it may stay there (decision 117)."""
     n_frames: int = 32
     """Frames, spread over the clip, that are looked at."""
     walked_m: float = 1.0
@@ -410,7 +412,11 @@ class LoadSettings(_Strict):
     share: float = 0.6
     """Share of the frames in which a cell must be filled."""
     judged_share: float = 0.25
-    """Least share of the frames that say something of a cell: where a limb is, it says nothing."""
+    """Least share of the frames that say something of a cell behind the trunk: where a limb is, they say nothing."""
+    judged_before: float = 0.375
+    """The same before the trunk, where hands hold things: where the other side's limb would be they say nothing, too.
+    With .25 or .5 arms beside a box are lost in it; with .5 behind the trunk, too, arms are lost in a rucksack
+    (decision 117)."""
     least: float = 0.0004
     """So much of it in one piece, of the height's cube: two litres of who is 1.7 m tall. Rucksacks have 5 to 21 litres
     there, people who walk in fitted clothes .2, in wide ones .6, among furniture up to 1.6."""

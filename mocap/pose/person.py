@@ -20,7 +20,7 @@ from mocap.pose.evidence import FrameEvidence, PersonClip
 from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, on_threads, unbroken
 from mocap.pose.limbs import in_doubt
 from mocap.pose.load import bare, find_load, laden
-from mocap.pose.method import StartSettings
+from mocap.pose.method import LoadSettings, StartSettings
 from mocap.pose.repair import EvidenceOf, repair_limbs
 from mocap.pose.result import FollowedPerson, PersonPoses, warnings_of_volumes
 from mocap.pose.size import fit_size
@@ -326,15 +326,19 @@ def follow_frames(
     Raises ValueError when no frame has a usable hull.
     """
     followed = _follow_body(clip, height, seed=seed, is_size_fitted=is_size_fitted, progress=progress)
-    load = _load_of(clip, followed)
-    if load is None:
+    usual, numbers = clip.observation.tools, followed.tools.settings.method.load
+    if not np.nanmedian(followed.series.unexplained) > numbers.unexplained_share:
         return followed
-    usual = clip.observation.tools
-    dressed = clip.with_tools(usual.with_body(laden(usual.body, load)))
-    followed = _follow_body(dressed, height, seed=seed, is_size_fitted=is_size_fitted)
-    words = f"person {clip.person} wears something on the trunk, a rucksack perhaps: it counts as no part of the body"
-    tools = _volume_tools(followed).with_body(bare(followed.body, load))
-    return replace(followed, tools=tools, warnings=(*followed.warnings, words))
+    thing = "wears or holds something, a rucksack or a box perhaps: it counts as no part of the body"
+    for _ in range(numbers.n_times):  # a limb that was lost in it shows how far it goes, once it is found
+        load = _load_of(clip, followed, numbers)
+        if load is None:
+            break
+        dressed = clip.with_tools(usual.with_body(laden(usual.body, load)))
+        again = _follow_body(dressed, height, seed=seed, is_size_fitted=is_size_fitted)
+        tools = _volume_tools(again).with_body(bare(again.body, load))
+        followed = replace(again, tools=tools, warnings=(*again.warnings, f"person {clip.person} {thing}"))
+    return followed
 
 
 def _volume_tools(followed: FollowedPerson) -> VolumeTools:
@@ -343,11 +347,8 @@ def _volume_tools(followed: FollowedPerson) -> VolumeTools:
     return followed.tools
 
 
-def _load_of(clip: VolumeClip, followed: FollowedPerson) -> Cones | None:
-    """What a person who was followed wears, where much of the hulls was left unexplained."""
-    unexplained, numbers = followed.series.unexplained, followed.tools.settings.method.load
-    if not np.nanmedian(unexplained) > numbers.unexplained_share:
-        return None
+def _load_of(clip: VolumeClip, followed: FollowedPerson, numbers: LoadSettings) -> Cones | None:
+    """What a person who was followed wears or holds."""
     with part("load"):
         observation = clip.observation.with_tools(_volume_tools(followed))
         return find_load(observation, followed.frames, followed.series.states, numbers)

@@ -1,4 +1,4 @@
-"""Things that people carry: a stick or a racket in the fist, a bag that hangs from it, a rucksack.
+"""Things that people carry: a stick or a racket in the fist, a bag that hangs from it, a rucksack, a crate before them.
 
 They are seen as people are, cast shadows and belong to the silhouettes; the truth of landmarks, volumes and voxels is
 that of people without them.
@@ -7,13 +7,15 @@ that of people without them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.synth.figure import JOINT, Figure, rotation_about
+from mocap.synth.figure import JOINT, SIDES, Figure, forward_kinematics, rotation_about
+from mocap.synth.motions import Pose
+from mocap.synth.motions.kit import solve_arms
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -23,9 +25,13 @@ Array = NDArray[np.float64]
 _EDGE_M = 0.03  # longest edge: rays are cast near projected vertices alone
 _GRIP = 0.060  # from the wrist to the middle of the fist, of the stature
 _BACK = (-0.085, 0.0, 0.02)  # from the joint of the chest to where a rucksack hangs, of the stature
+_BEFORE = (0.195, 0.0, -0.03)  # from the joint of the chest to the middle of a crate, of the stature
+_CRATE_M = (0.30, 0.40, 0.26)
+_AT_ITS_SIDE_M = (-0.04, 0.23, -0.08)  # the left wrist, from the middle of a crate
+_ELBOWS = (-0.6, 0.5, -0.6)  # behind, beside and below: where they point, as (forward, outward, up)
 _SHAFT_DOWN_RAD = np.deg2rad(20.0)  # what a hanging arm holds points forward and a little down
 _BEHIND_M = 0.10  # of a shaft, behind the fist
-_USUAL_STATURE_M = 1.75  # bags and rucksacks are as large as who carries them
+_USUAL_STATURE_M = 1.75  # bags, rucksacks and crates are as large as who carries them
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +55,7 @@ class Carried:
         R = rotation[self.joint]
         place = position[self.joint] + R @ self.at
         if self.hangs:
-            R = rotation_about(2, np.arctan2(R[1, 0], R[0, 0]))
+            R = rotation_about(2, _heading(R))
         return place + self.vertices @ R.T, self.normals @ R.T
 
     def albedo(self, body: Any, rest: Array) -> Array:
@@ -58,12 +64,17 @@ class Carried:
 
 
 def carried(kind: str, hand: str, figure: Figure, rgb: Array) -> Carried:
-    """Something on a figure.  kind : one of KINDS.  hand : left or right, of a rucksack none.  rgb : (3,) linear."""
+    """Something on a figure.  kind : one of KINDS.  hand : left or right; of a rucksack and a crate none.
+
+    rgb : (3,) linear.
+    """
     joint, at = JOINT[f"{hand}_wrist"], (0.0, 0.0, -_GRIP)
     if kind == "rucksack":
         joint, at = JOINT["chest"], _BACK
+    elif kind == "crate":
+        joint, at = JOINT["chest"], _BEFORE
     corners = _triangles(KINDS[kind]())
-    if kind in ("bag", "rucksack"):
+    if kind in ("bag", "rucksack", "crate"):
         corners *= figure.stature_m / _USUAL_STATURE_M
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -73,9 +84,34 @@ def carried(kind: str, hand: str, figure: Figure, rgb: Array) -> Carried:
         normals=np.repeat(normals, 3, axis=0),
         joint=joint,
         at=np.array(at) * figure.stature_m,
-        hangs=kind == "bag",
+        hangs=kind in ("bag", "crate"),
         rgb=rgb,
     )
+
+
+def with_both_hands(figure: Figure, pose: Pose) -> Pose:
+    """A motion whose arms hold a crate before the trunk, whatever they did."""
+    chest, scale = JOINT["chest"], figure.stature_m / _USUAL_STATURE_M
+    rotations = pose.rotations.copy()
+    for side, _ in SIDES:
+        rotations[:, [JOINT[f"{side}_clavicle"], JOINT[f"{side}_wrist"]]] = np.eye(3)
+    position, rotation = forward_kinematics(figure.offsets, rotations, pose.root_position)
+    R = rotation[:, chest]
+    heading = _heading(R)
+    middle = position[:, chest] + R @ np.array(_BEFORE) * figure.stature_m
+    goals = []
+    for side, sign in SIDES:
+        mirrored = np.array([1.0, sign, 1.0])
+        off = (middle - position[:, JOINT[f"{side}_shoulder"]])[:, None] @ rotation_about(2, heading)
+        goals.append((off[:, 0] + np.array(_AT_ITS_SIDE_M) * mirrored * scale) * mirrored)
+    poles = [np.tile(_ELBOWS, (len(R), 1)) for _ in SIDES]
+    solve_arms(figure, rotations, pose.root_position, goals, poles, heading=heading)
+    return replace(pose, rotations=rotations)
+
+
+def _heading(R: Array) -> Array:
+    """Of frames (..., 3, 3), rad."""
+    return np.asarray(np.arctan2(R[..., 1, 0], R[..., 0, 0]))
 
 
 def _triangles(mesh: Trimesh) -> Array:
@@ -125,6 +161,12 @@ def _rucksack() -> Trimesh:
     return body
 
 
+def _crate() -> Trimesh:
+    from trimesh.creation import box
+
+    return box(_CRATE_M)
+
+
 def _lowered(mesh: Trimesh) -> Trimesh:
     """What points along x, a little down."""
     mesh.vertices = mesh.vertices @ rotation_about(1, _SHAFT_DOWN_RAD).T
@@ -136,4 +178,5 @@ KINDS: Mapping[str, Callable[[], Trimesh]] = {
     "racket": _racket,
     "bag": _bag,
     "rucksack": _rucksack,
+    "crate": _crate,
 }

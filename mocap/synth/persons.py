@@ -255,9 +255,9 @@ class Colours(Section):
 class Load(Section):
     """Something that a person carries."""
 
-    kind: Literal["stick", "racket", "bag", "rucksack"]
+    kind: Literal["stick", "racket", "bag", "rucksack", "crate"]
     hand: Literal["left", "right"] = "right"
-    """That holds it; a rucksack is on the back."""
+    """That holds it; a rucksack is on the back, and a crate is held by both before the trunk."""
     colour: Colour = (90.0, 60.0, 40.0)
 
 

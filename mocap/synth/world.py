@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from mocap.data import Camera, CameraRig
 from mocap.errors import MocapError
 from mocap.synth.body import Body
-from mocap.synth.carried import Carried
+from mocap.synth.carried import Carried, with_both_hands
 from mocap.synth.faults import Timeline, moved_cameras, room_faults, timeline
 from mocap.synth.figure import JOINT, forward_kinematics, landmarks_of
 from mocap.synth.furniture import furniture_boxes
@@ -235,6 +235,8 @@ def _actor(
         pose = MOTIONS[person.motion.kind](body.figure, n_motion, scene.fps, rng=rng_at(seed, 6), **arguments)
     except ValueError as error:  # what only this body cannot do, such as a seat too high for its legs
         raise MocapError(f"persons.{number - 1}.motion: {error}", remedy="correct the scene file") from error
+    if any(load.kind == "crate" for load in person.carries):
+        pose = with_both_hands(body.figure, pose)
     position, rotation = forward_kinematics(body.figure.offsets, pose.rotations, pose.root_position)
     landmarks = landmarks_of(body.figure, position, rotation)[lead : lead + scene.n_frames]
     markers = None if scene.markers is None else place_markers(body, scene.markers.radius_m)

@@ -9,8 +9,8 @@ pytest.importorskip("embreex", reason="rendering needs the extra synth (embreex)
 
 from mocap.errors import MocapError
 from mocap.synth.carried import KINDS, carried
-from mocap.synth.figure import JOINT, forward_kinematics, make_figure
-from mocap.synth.motions.anatomy import pose_of
+from mocap.synth.figure import JOINT, SIDES, forward_kinematics, make_figure, rotation_about
+from mocap.synth.motions.anatomy import joint_angles, pose_of
 from mocap.synth.persons import Load
 from mocap.synth.render import CameraView
 from mocap.synth.scene import Scene, scene_from_dict
@@ -29,16 +29,16 @@ def posed(kind: str, hand: str = "right", **angles: float) -> tuple[np.ndarray, 
     return vertices, normals, position[0]
 
 
-def world(carries: list[dict], persons: int = 1) -> World:
-    person = {"motion": {"kind": "stand"}, "height_m": 1.75}
+def world(carries: list[dict], persons: int = 1, motion: dict | None = None) -> World:
+    person = {"height_m": 1.75}
     scene: Scene = scene_from_dict(
         {
             "name": "small",
             "seed": 21,
-            "n_frames": 3,
+            "n_frames": 3 if motion is None else 60,
             "rig": {"n_cameras": 3, "size_px": [320, 240], "focal_px": 250.0},
             "persons": [
-                {**person, "seed": 5 + i, "motion": {"kind": "stand", "position_m": [0.9 * i, 0.0]}}
+                {**person, "seed": 5 + i, "motion": motion or {"kind": "stand", "position_m": [0.9 * i, 0.0]}}
                 | ({"carries": carries} if i == persons - 1 else {})
                 for i in range(persons)
             ],
@@ -98,6 +98,35 @@ def test_a_rucksack_is_behind_the_chest_and_as_large_as_who_wears_it() -> None:
     small = carried("rucksack", "right", child, BROWN).vertices
     large = carried("rucksack", "right", FIGURE, BROWN).vertices
     assert np.ptp(small, axis=0) == pytest.approx(np.ptp(large, axis=0) * 1.1 / 1.75)
+
+
+def test_a_crate_is_held_by_both_hands_whatever_the_arms_would_do() -> None:
+    """The hands lie along its sides, and it is before the trunk."""
+    for motion in ({"kind": "walk"}, {"kind": "gesture"}):
+        w = world([{"kind": "crate"}], motion=motion)
+        (actor,), (crate,) = w.actors, w.actors[0].loads
+        size = crate.vertices.max(axis=0) - crate.vertices.min(axis=0)
+        angles = joint_angles(actor.pose.rotations)
+        for k in range(0, len(actor.position), 10):
+            position, rotation = actor.position[k], actor.rotation[k]
+            vertices, _ = crate.pose(position, rotation)
+            assert np.ptp(vertices[:, 2]) == pytest.approx(size[2]), "it stays upright"
+            turn = rotation[JOINT["chest"]]
+            heading = rotation_about(2, np.arctan2(turn[1, 0], turn[0, 0]))
+            middle = 0.5 * (vertices @ heading).max(axis=0) + 0.5 * (vertices @ heading).min(axis=0)
+            for side, sign in SIDES:
+                hand = position[JOINT[f"{side}_wrist"]] @ heading - middle
+                assert abs(hand[0]) < size[0] / 2
+                assert -0.02 < sign * hand[1] - size[1] / 2 < 0.06
+                assert abs(hand[2]) < size[2] / 2
+            flesh, _ = actor.body.pose(position, rotation)
+            between_hands = size / 2 - (0.0, 0.06, 0.0)  # the fingers are round its edges
+            assert not (np.abs(flesh @ heading - middle) < between_hands).all(axis=1).any(), (motion, k)
+        for side, _ in SIDES:
+            assert (
+                30.0 < angles[f"{side}_elbow_flexion"].min() <= angles[f"{side}_elbow_flexion"].max() < 120.0
+            )
+            assert angles[f"{side}_shoulder_elevation"].max() < 60.0
 
 
 def test_it_is_seen_and_the_truth_is_of_people_alone() -> None:
