@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, label
 
-from mocap.body import Body, cones_of, joint_transforms
+from mocap.body import Body, cones_of, joint_transforms, landmarks_of
 from mocap.body.flesh import lattice_in_cones
 from mocap.body.model import Cones
+from mocap.pose.limbs import arms_of, moved_to
 from mocap.pose.method import LoadSettings
 from mocap.pose.volume import VolumeObservation
 
@@ -88,6 +89,20 @@ def bare(body: Body, load: Cones) -> Body:
     own = slice(len(body.cones.joint) - len(load.joint))
     start, end, radii = (a[own] for a in (body.cones.start, body.cones.end, body.cones.radii))
     return replace(body, cones=Cones(start, end, radii, body.cones.joint[own], body.cones.part[own]))
+
+
+def arms_alike(body: Body, state: Array) -> list[Array]:
+    """Two states (D,), in which one arm, and the other, is where its fellow would be on its side; none for a body that
+    has not two arms."""
+    arms = arms_of(body)
+    if arms is None:
+        return []
+    R, t = (transforms[0, upper_trunk(body)] for transforms in joint_transforms(body, state[None]))
+    places = (landmarks_of(body, state[None])[0] - t) @ R * (1.0, -1.0, 1.0) @ R.T + t  # mirrored
+    return [
+        moved_to(body, state, arm.landmarks, places[fellow.landmarks], arm.columns)
+        for arm, fellow in (arms, arms[::-1])
+    ]
 
 
 def upper_trunk(body: Body) -> int:

@@ -19,7 +19,7 @@ from mocap.pose.deviation import FrameSeries, fit_covariance, landmark_covarianc
 from mocap.pose.evidence import FrameEvidence, PersonClip
 from mocap.pose.follow import FramePose, follow_both_ways, follow_pose, note, on_threads, unbroken
 from mocap.pose.limbs import in_doubt
-from mocap.pose.load import bare, find_load, laden
+from mocap.pose.load import arms_alike, bare, find_load, laden
 from mocap.pose.method import LoadSettings, StartSettings
 from mocap.pose.repair import EvidenceOf, repair_limbs
 from mocap.pose.result import FollowedPerson, PersonPoses, warnings_of_volumes
@@ -330,6 +330,7 @@ def follow_frames(
     if not np.nanmedian(followed.series.unexplained) > numbers.unexplained_share:
         return followed
     thing = "wears or holds something, a rucksack or a box perhaps: it counts as no part of the body"
+    dressed: VolumeClip | None = None
     for _ in range(numbers.n_times):  # a limb that was lost in it shows how far it goes, once it is found
         load = _load_of(clip, followed, numbers)
         if load is None:
@@ -338,7 +339,34 @@ def follow_frames(
         again = _follow_body(dressed, height, seed=seed, is_size_fitted=is_size_fitted)
         tools = _volume_tools(again).with_body(bare(again.body, load))
         followed = replace(again, tools=tools, warnings=(*again.warnings, f"person {clip.person} {thing}"))
+        dressed = dressed.with_tools(_volume_tools(again))
+    if dressed is not None:
+        with part("load"):
+            _doubt_arms(dressed, followed.series)
     return followed
+
+
+def _doubt_arms(clip: VolumeClip, series: FrameSeries) -> None:
+    """Mark, in place, an arm of somebody who holds something, where his other arm's place explains a frame about as
+    well: along a box one place is like another."""
+    for row, frame in enumerate(clip.frames):
+        prepared, state = clip.observation.prepare(int(frame)), series.states[row]
+        if prepared is None or not np.isfinite(state).all():
+            continue
+        evidence = clip.observation.evidence(prepared)
+        own, *rivals = evidence.all_refined([state, *arms_alike(clip.observation.tools.body, state)])
+        nats = evidence.evidence([own, *rivals])
+        for rival, worth in zip(rivals, nats[1:], strict=True):
+            if worth > nats[0] - evidence.tools.settings.method.legs.clear_nats:
+                _doubt(series, row, state, rival, evidence)
+
+
+def _doubt(series: FrameSeries, row: int, state: Array, rival: Array | None, evidence: FrameEvidence) -> None:
+    """Mark, in place, what of a state (D,) in a row is in doubt as a rival (D,) explains the frame about as well."""
+    doubtful, doubt_std = in_doubt(evidence.tools.body, state, rival, evidence.tools.settings.method.legs)
+    series.hidden_std[row] = np.maximum(series.hidden_std[row], doubt_std)
+    series.doubtful[row] |= doubtful
+    series.observed[row] &= ~series.doubtful[row]
 
 
 def _volume_tools(followed: FollowedPerson) -> VolumeTools:
@@ -491,15 +519,13 @@ def _put_right(series: FrameSeries, row: int, state: Array, evidence: FrameEvide
     fit, old = evidence.fit(state), series.states[row].copy()
     new_nats, old_nats = evidence.evidence([state, old])
     is_clear = new_nats > old_nats + method.legs.clear_nats
-    doubtful, doubt_std = in_doubt(body, state, None if is_clear else old, method.legs)
     series.states[row] = state
     series.fit_covariance[row] = fit_covariance(body, state, fit.information, method.deviation)
     series.misfit[row] = fit.misfit
     series.unexplained[row] = fit.unexplained
     series.log_likelihood[row] = fit.log_likelihood
-    series.hidden_std[row] = np.maximum(series.hidden_std[row], doubt_std)
-    series.doubtful[row] |= doubtful
-    series.observed[row] = fit.observed & ~series.doubtful[row]
+    series.observed[row] = fit.observed
+    _doubt(series, row, state, None if is_clear else old, evidence)
 
 
 def _sized(

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from flesh_voxels import make_flesh, rasterise
 
-from mocap.body import Body, cones_of, joint_transforms, neutral_state
+from mocap.body import Body, cones_of, joint_transforms, landmarks_of, neutral_state
 from mocap.body.flesh import cone_distances
 from mocap.body.model import Cones
 from mocap.body.stretch import lengths_of, resize_body
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
 from mocap.pose import person
-from mocap.pose.load import bare, find_load, laden, upper_trunk
+from mocap.pose.deviation import FrameSeries
+from mocap.pose.load import arms_alike, bare, find_load, laden, upper_trunk
 from mocap.pose.method import LoadSettings
 from mocap.pose.volume import PersonHull, VolumeObservation
 
@@ -132,6 +133,51 @@ def test_a_box_is_held_by_an_arm_that_is_lost_beside_it(n_seen: int) -> None:
     off = cone_distances(middle, worn.start, worn.end, worn.radii, round_ends=True)
     assert off.min() > 0.0
     assert overlap(worn, CRATE, BODY) > 0.5
+
+
+def test_an_arm_is_put_where_its_fellow_is() -> None:
+    state = holding("left")[3]
+    state[:2], state[BODY.yaw_column] = (0.7, -0.4), 1.1
+    own = landmarks_of(BODY, state[None])[0]
+    alike = landmarks_of(BODY, np.stack(arms_alike(BODY, state)))
+    R, t = (m[0, TRUNK] for m in joint_transforms(BODY, state[None]))
+    for moved, (mine, his) in zip(alike, (("left", "right"), ("right", "left")), strict=True):
+        for name in ("elbow", "wrist"):
+            place = (moved[BODY.landmarks.index(f"{mine}_{name}")] - t) @ R
+            fellow = (own[BODY.landmarks.index(f"{his}_{name}")] - t) @ R
+            np.testing.assert_allclose(place, fellow * (1, -1, 1), atol=0.01)
+            k = BODY.landmarks.index(f"{his}_{name}")
+            np.testing.assert_allclose(moved[k], own[k], atol=0.005)
+        k = BODY.landmarks.index("left_knee")
+        np.testing.assert_allclose(moved[k], own[k], atol=0.005)
+
+
+@pytest.mark.parametrize(
+    ("behind_nats", "in_doubt"), [((4.0, 9.0), "left"), ((9.0, 4.0), "right"), ((9.0, 9.0), "")]
+)
+def test_an_arm_that_may_be_where_its_fellow_would_be_is_in_doubt(
+    behind_nats: tuple[float, float], in_doubt: str
+) -> None:
+    states = holding("left")
+    made = make_tools(FLESH.grid, 12.5, HEIGHT_M, "whole", PoseConfig(), LikelihoodConfig(), 1)
+    series = FrameSeries.of_length(N_FRAMES, made.body)
+    series.states[:], series.observed[:] = states, True
+    series.states[2] = np.nan  # nobody was followed there
+    evidence: Any = SimpleNamespace(
+        tools=made, all_refined=list, evidence=lambda tried: -np.array([0.0, *behind_nats])[: len(tried)]
+    )
+    observation: Any = SimpleNamespace(
+        tools=made, prepare=lambda frame: None if frame == 1 else frame, evidence=lambda _: evidence
+    )
+    clip = person.VolumeClip(1, np.arange(N_FRAMES), None, observation)
+    person._doubt_arms(clip, series)
+    arm = [f"{in_doubt}_{name}" for name in ("wrist", "hand_tip")] if in_doubt else []
+    is_arm = np.isin(made.body.landmarks, arm)
+    for row in range(N_FRAMES):
+        expected = is_arm if row not in (1, 2) else np.zeros_like(is_arm)
+        np.testing.assert_array_equal(series.doubtful[row], expected)
+        np.testing.assert_array_equal(series.observed[row], ~expected)
+        np.testing.assert_array_equal(series.hidden_std[row] > 0.03, expected)
 
 
 @pytest.mark.parametrize(
