@@ -134,7 +134,8 @@ def warnings_of_volumes(
         when = frames_in_words(frames[doubtful.any(axis=1)])
         warnings.append(
             f"person {person}: {', '.join(names)} may be elsewhere in frames {when}: another pose explains the volume "
-            "about as well there, as when legs cross behind furniture or hands lie along what they hold. They are marked as not observed"
+            "about as well there, as when legs cross behind furniture or hands lie along what they hold. They are "
+            "marked as not observed"
         )
     hidden = (series.hidden_std > 0) & ~doubtful
     if hidden.any():

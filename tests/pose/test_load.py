@@ -254,9 +254,15 @@ def test_who_wears_something_is_followed_with_it(
 
     monkeypatch.setattr(person, "_follow_body", follow)
     monkeypatch.setattr(person, "find_load", lambda *_: worn)
+    doubted: list[Body] = []
+    monkeypatch.setattr(
+        person, "_doubt_arms", lambda clip, series: doubted.append(clip.observation.tools.body)
+    )
     followed = person.follow_frames(clip, person.HeightEstimate(HEIGHT_M, True), seed=0)
     n_own = len(BODY.cones.joint)
     assert [len(body.cones.joint) for body in bodies] == [n_own, n_own + 2, n_own + 2][: 1 + 2 * is_again]
+    assert [len(body.cones.joint) for body in doubted] == [n_own + 2][: int(is_again)]
+    assert all(body.height_m == followed.body.height_m for body in doubted)
     assert len(followed.body.cones.joint) == n_own
     assert followed.body.height_m == pytest.approx(1.02 * HEIGHT_M)
     assert len(followed.tools.table.part_sizes) == BODY.layout.n_parts

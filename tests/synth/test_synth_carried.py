@@ -8,8 +8,9 @@ import pytest
 pytest.importorskip("embreex", reason="rendering needs the extra synth (embreex)")
 
 from mocap.errors import MocapError
-from mocap.synth.carried import KINDS, carried
+from mocap.synth.carried import KINDS, carried, with_both_hands
 from mocap.synth.figure import JOINT, SIDES, forward_kinematics, make_figure, rotation_about
+from mocap.synth.motions import Pose
 from mocap.synth.motions.anatomy import joint_angles, pose_of
 from mocap.synth.persons import Load
 from mocap.synth.render import CameraView
@@ -127,6 +128,15 @@ def test_a_crate_is_held_by_both_hands_whatever_the_arms_would_do() -> None:
                 30.0 < angles[f"{side}_elbow_flexion"].min() <= angles[f"{side}_elbow_flexion"].max() < 120.0
             )
             assert angles[f"{side}_shoulder_elevation"].max() < 60.0
+
+
+def test_hands_that_hold_a_crate_are_straight() -> None:
+    root = np.array([[0.0, 0.0, FIGURE.standing_height_m]])
+    rotations = pose_of({"left_wrist_flexion": 40.0, "right_wrist_side": 20.0}, 1)
+    held = with_both_hands(FIGURE, Pose(root, rotations, np.ones((1, 2), dtype=np.bool_)))
+    for side, _ in SIDES:
+        np.testing.assert_array_equal(held.rotations[:, JOINT[f"{side}_wrist"]], np.eye(3)[None])
+    assert not np.allclose(rotations[:, JOINT["left_wrist"]], np.eye(3)), "the motion itself is as it was"
 
 
 def test_it_is_seen_and_the_truth_is_of_people_alone() -> None:
