@@ -85,6 +85,7 @@ def test_unknown_names_are_an_error_and_patterns_select(capsys):
 
 
 def test_registering_twice_or_without_direction_is_refused():
+    load_measures()
     with pytest.raises(ValueError, match="registered twice"):
         measure("carve_ms", unit="ms", better="lower")(lambda: 1.0)
     with pytest.raises(ValueError, match="better"):
