@@ -101,9 +101,8 @@ def with_both_hands(figure: Figure, pose: Pose) -> Pose:
     middle = position[:, chest] + R @ np.array(_BEFORE) * figure.stature_m
     goals = []
     for side, sign in SIDES:
-        mirrored = np.array([1.0, sign, 1.0])
         off = (middle - position[:, JOINT[f"{side}_shoulder"]])[:, None] @ rotation_about(2, heading)
-        goals.append((off[:, 0] + np.array(_AT_ITS_SIDE_M) * mirrored * scale) * mirrored)
+        goals.append(off[:, 0] * (1.0, sign, 1.0) + np.array(_AT_ITS_SIDE_M) * scale)
     poles = [np.tile(_ELBOWS, (len(R), 1)) for _ in SIDES]
     solve_arms(figure, rotations, pose.root_position, goals, poles, heading=heading)
     return replace(pose, rotations=rotations)
