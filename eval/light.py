@@ -8,7 +8,8 @@ without dividing the light out.  Writes eval/results/light.csv.
 Conditions: `exposure` swings by a quarter with a period of 45 frames; `white balance` moves red and blue by 15 %
 against each other in 60 frames; `lamp` makes one side of the picture up to 40 % brighter from the middle of the clip
 on; `flicker` draws two bands of 12 %, as lamps at 50 Hz do at short exposures; `noise` of 8 levels; `compression` as
-JPEG of quality 20; `hard light` leaves 40 % of it in shadows. One to three minutes per session.
+JPEG of quality 20; `no colours` leaves the brightness alone, in the empty clip too; `hard light` leaves 40 % of it in
+shadows. One to three minutes per session.
 """
 
 from __future__ import annotations
@@ -25,7 +26,14 @@ from numpy.typing import NDArray
 
 from eval.segmentation import INSTANTS, ROOT, TEST, View, sessions, views
 from eval.whole import write_csv
-from mocap.foreground import ForegroundSettings, Segmenter, learn_background
+from mocap.foreground import (
+    ForegroundSettings,
+    Segmenter,
+    as_grey,
+    brightness_of,
+    grey_outline,
+    learn_background,
+)
 from mocap.io.session import open_session
 from mocap.pipeline.shade import with_shadows_in
 from mocap.pipeline.stages.segment import second_look
@@ -99,6 +107,7 @@ HARD = "hard light"
 CAMERAS: dict[str, Spoil] = {
     "overexposed": lambda picture, frame, n, rng: _lit(picture, 1.8),
     "stored": lambda picture, frame, n, rng: _compressed(picture, 35),
+    "no colours": lambda picture, frame, n, rng: as_grey(picture),
 }
 
 
@@ -106,7 +115,6 @@ def evaluate(folder: Path, step: int) -> dict[str, dict[str, float]]:
     """IoU of every method under every condition."""
     session = open_session(folder)
     cameras = views(session, step)
-    look = second_look(session)
     found: dict[str, dict[str, float]] = {}
     for condition, spoil in (CONDITIONS | CAMERAS | {HARD: CONDITIONS["as recorded"]}).items():
         rng = np.random.default_rng(0)
@@ -117,6 +125,8 @@ def evaluate(folder: Path, step: int) -> dict[str, dict[str, float]]:
             else view.backgrounds["ours"]
             for view in cameras
         ]
+        are_grey = all(background.is_grey for background in backgrounds)
+        look = second_look(session, are_grey=are_grey)
         counts = {name: np.zeros(2) for name in (*METHODS, LOOK)}
         seen = []
         for i in range(min(len(view.truth) for view in cameras)):
@@ -138,6 +148,11 @@ def evaluate(folder: Path, step: int) -> dict[str, dict[str, float]]:
                 counts[name] += _overlap(masks, cameras, i)
                 if name == "ours" and look is not None:
                     looked = look.masks(masks, [a.shadow for a in answers], [a.doubtful for a in answers])
+                    if are_grey:
+                        looked = [
+                            grey_outline(brightness_of(picture), brightness_of(s.background), mask)
+                            for picture, s, mask in zip(pictures, own, looked, strict=True)
+                        ]
                     counts[LOOK] += _overlap(looked, cameras, i)
         found[condition] = {name: hit / max(union, 1) for name, (hit, union) in counts.items()}
     return found

@@ -5,6 +5,8 @@ from mocap.foreground.model import (
     COVERED_WORTH_A_WORD,
     EMPTY_REDUCTION,
     Background,
+    as_grey,
+    brightness_of,
     empty_picture,
     learn_background,
     median_background,
@@ -27,7 +29,7 @@ from mocap.foreground.recording import (
     with_floor,
     with_quiet_floor,
 )
-from mocap.foreground.refine import refine_mask
+from mocap.foreground.refine import grey_outline, refine_mask
 from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segmenter, clean_mask
 
 __all__ = [
@@ -40,13 +42,16 @@ __all__ = [
     "KeyPictures",
     "MaskQuality",
     "Segmenter",
+    "as_grey",
     "background_of_recording",
     "bare_in",
+    "brightness_of",
     "changes_in",
     "clean_mask",
     "empty_picture",
     "first_cuts",
     "fit_background",
+    "grey_outline",
     "held_things_in",
     "key_pictures",
     "learn_background",

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Image, Mask
 from mocap.foreground import _kernels
-from mocap.foreground.model import Background
+from mocap.foreground.model import Background, are_grey, as_grey
 
 LEAST_PICTURES = 3  # fewer do not tell what stands still from who walks past
 _FAR = 20  # levels, after the light is divided out: something else is seen
@@ -78,15 +78,14 @@ def fit_background(background: Background, pictures: Sequence[Image]) -> Fit:
         raise ValueError(f"pictures: expected at least {LEAST_PICTURES}, got {len(pictures)}")
     if any(picture.shape != background.mean.shape for picture in pictures):
         raise ValueError(f"pictures: expected shape {background.mean.shape}, got {pictures[0].shape}")
+    background = _with_colours_of(background, pictures)
     stack = np.stack([_in_light_of(background.mean, picture) for picture in pictures])
     usual = np.empty_like(stack[0])
     _kernels.medians(stack.reshape(len(stack), -1), usual.reshape(-1))
     shift = _shift(background.mean, usual)
     moved = background
     if shift != (0.0, 0.0):
-        moved = replace(
-            background, mean=_shifted(background.mean, shift), std=_shifted(background.std, shift)
-        )
+        moved = replace(moved, mean=_shifted(background.mean, shift), std=_shifted(background.std, shift))
     n_differing = np.zeros(stack.shape[1:3], dtype=np.int64)
     for picture in stack:
         n_differing += cv2.inRange(cv2.absdiff(picture, moved.mean), (0, 0, 0), (_FAR, _FAR, _FAR)) == 0
@@ -102,6 +101,18 @@ def fit_background(background: Background, pictures: Sequence[Image]) -> Fit:
         std[gone] = np.maximum(np.median(moved.std), spread)
         moved = replace(moved, mean=mean, std=std)
     return Fit(moved, shift, gone, is_elsewhere=False, likeness=alike, differing_share=differing)
+
+
+def _with_colours_of(background: Background, pictures: Sequence[Image]) -> Background:
+    """The background as a camera sees it that sees colours, or none, in the recording: in a grey room people in colour
+    tell, and at night a camera may have switched to infrared.
+    """
+    is_grey = are_grey(pictures)
+    if is_grey == background.is_grey:
+        return background
+    shown = np.clip(np.round(background.mean), 0, 255).astype(np.uint8)
+    mean = as_grey(shown).astype(np.float32) if is_grey else background.mean
+    return replace(background, mean=mean, is_grey=is_grey)
 
 
 def _in_light_of(mean: NDArray[np.float32], picture: Image) -> NDArray[np.float32]:

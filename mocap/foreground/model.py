@@ -19,6 +19,10 @@ _FAR = 20  # levels from the usual colour that count as "something else was here
 _MOVED_IN_EMPTY = 0.02
 _MOVED_IN_MEDIAN = 0.01
 COVERED_WORTH_A_WORD = 0.001  # of the picture
+# Steps by which a chrominance of a camera without colours may be off that of the whole picture, and the share of the
+# picture that may be further off. Compression tints all of it, by up to 8 levels of grey_few; noise of a colour camera
+# before a grey wall is not even.
+_GREY_STEPS, _MOST_COLOURED = 3, 0.001
 EMPTY_REDUCTION = 2  # a pixel of 640 x 480 sees a centimetre of the floor, half of what is asked of it
 
 
@@ -31,6 +35,7 @@ class Background:
     moving_share : share of the pixels at which some picture is far from the usual colour, or shows a person.
     covered : (H, W) bool, pixels that no picture shows empty: a person is always there; None = none.
     told_share : share of the pixels that no picture of this camera shows empty, and that others know.
+    is_grey : no picture has colours, but for one tint: the camera sees none, or only the room has none.
     """
 
     mean: NDArray[np.float32]
@@ -40,6 +45,7 @@ class Background:
     moving_share: float
     covered: Mask | None = None
     told_share: float = 0.0
+    is_grey: bool = False
 
     @property
     def holds_somebody(self) -> bool:
@@ -121,6 +127,27 @@ def thinned(images: Iterable[Image]) -> list[Image]:
     return kept
 
 
+def are_grey(pictures: Iterable[Image]) -> bool:
+    """Whether no picture, (H, W, 3) uint8 RGB, has colours: nearly all of it has one tint."""
+    return all(_coloured_share(picture) <= _MOST_COLOURED for picture in pictures)
+
+
+def _coloured_share(picture: Image) -> float:
+    some = cv2.cvtColor(np.ascontiguousarray(picture[::4, ::4]), cv2.COLOR_RGB2YCrCb)[..., 1:].reshape(-1, 2)
+    off = np.abs(some - np.median(some, axis=0))
+    return float((off > _GREY_STEPS).any(axis=1).mean())
+
+
+def as_grey(picture: Image) -> Image:
+    """A picture (H, W, 3) uint8 RGB with its brightness in all channels."""
+    return cv2.cvtColor(brightness_of(picture), cv2.COLOR_GRAY2RGB).astype(np.uint8, copy=False)
+
+
+def brightness_of(picture: Image) -> NDArray[np.uint8]:
+    """The brightness (H, W) uint8 of a picture (H, W, 3) uint8 RGB."""
+    return cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.uint8, copy=False)
+
+
 def _check_picture(image: Image, i: int, shape: tuple[int, ...] | None) -> None:
     """ValueError for picture i if it is no colour picture, or has another shape than the first one."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
@@ -131,7 +158,8 @@ def _check_picture(image: Image, i: int, shape: tuple[int, ...] | None) -> None:
 
 def _statistics(samples: list[Image], kind: str) -> Background:
     mean, std, moved = statistics_of(np.stack(samples), _FAR)
-    return Background(mean, np.maximum(std, STD_FLOOR), len(samples), kind, float(moved.any(axis=2).mean()))
+    moving = float(moved.any(axis=2).mean())
+    return Background(mean, np.maximum(std, STD_FLOOR), len(samples), kind, moving, is_grey=are_grey(samples))
 
 
 def statistics_of(
@@ -151,4 +179,4 @@ def _still(image: Image) -> Background:
     fine = image.astype(np.float32) - cv2.medianBlur(image, 3)
     noise = np.median(np.abs(fine), axis=(0, 1)) / 0.6745
     std = np.broadcast_to(np.maximum(noise, _STILL_STD_FLOOR).astype(np.float32), image.shape).copy()
-    return Background(image.astype(np.float32), std, 1, "still", 0.0)
+    return Background(image.astype(np.float32), std, 1, "still", 0.0, is_grey=are_grey([image]))

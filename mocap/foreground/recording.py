@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Image, Mask, largest_channel
 from mocap.foreground import _kernels
-from mocap.foreground.model import STD_FLOOR, Background, statistics_of, thinned
+from mocap.foreground.model import STD_FLOOR, Background, are_grey, statistics_of, thinned
 from mocap.foreground.refine import refine_mask
 
 KEY_PICTURES = 12  # each takes 0.1 s per camera; what is free in one of them is learnt
@@ -194,7 +194,8 @@ def background_of_recording(images: Iterable[Image], cuts: Sequence[Mask]) -> Ba
     usual = max(float(np.median(std)), STD_FLOOR)
     std[covered] = usual
     np.clip(std, usual, _LEAST_STD * usual, out=std)
-    return Background(mean, std, len(samples), "recording", float((cover > 1).any(axis=0).mean()), covered)
+    moving = float((cover > 1).any(axis=0).mean())
+    return Background(mean, std, len(samples), "recording", moving, covered, is_grey=are_grey(samples))
 
 
 def with_floor(

@@ -8,6 +8,10 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Image, Mask
 
+# Of a picture 640 pixels wide. A mask without colours may have gaps as wide as a trunk, and lacks rims of a few pixels.
+# Farther from it shade is taken for a person: outlines anywhere in the volume of others made a second one of it
+# (decision 118).
+_GREY_GAP_PX, _GREY_RIM_PX = 31, 7
 _MARGIN_PX = 24  # picture beyond what is uncertain that GrabCut learns the surroundings from
 
 
@@ -46,6 +50,26 @@ def refine_mask(
     out = np.zeros(image.shape[:2], dtype=np.bool_)
     out[rows, columns] = _is_person(classes)
     return out & allowed
+
+
+def grey_outline(brightness: NDArray[np.uint8], empty: NDArray[np.uint8], mask: Mask) -> Mask:
+    """A mask found once more in a picture without colours: by its brightness, by that of the empty scene, and by how
+    they differ.
+
+    brightness, empty : (H, W) grey levels.  mask : (H, W) bool, what was found; its inside stays, and nothing far from
+    it is added, because shade lies there.
+    Raises ValueError for shapes that do not match.
+    """
+    # A person as bright as the wall behind him ends where his brightness or the wall's does.
+    told = np.dstack([brightness, empty, cv2.convertScaleAbs(cv2.absdiff(brightness, empty), alpha=2)])
+    scale = mask.shape[1] / 640
+    gap, rim = (
+        np.ones((round(length * scale) | 1,) * 2, np.uint8) for length in (_GREY_GAP_PX, _GREY_RIM_PX)
+    )
+    whole = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, gap)
+    allowed = cv2.dilate(whole, rim) > 0
+    inside = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return refine_mask(told, allowed, mask, inside, n_looks=1)
 
 
 def _is_person(classes: NDArray[np.uint8]) -> Mask:

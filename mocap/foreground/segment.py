@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Image, Mask, largest_channel
 from mocap.foreground import _kernels
-from mocap.foreground.model import Background
+from mocap.foreground.model import Background, are_grey, as_grey
 
 Bytes = NDArray[np.uint8]
 
@@ -75,6 +75,8 @@ class ForegroundSettings:
         noise of the picture, and with the steps to which compression has rounded its colours.
     shadow_edge : a shadow is soft; where the brightness relative to the background changes by more than this from
         pixel to pixel, there is an object.
+    grey_edge, grey_window_px : shadow_edge and shadow_window_px of a camera that sees no colours: there the shade
+        alone tells, which is softer than that of folds and limbs.
     outline_share, outline_window_px : a pixel at the rim of the foreground stays only if its difference from the
         background is by this share above that of its surroundings and below that of the inside, both averaged
         over the window: blur and compression draw a halo round a person.
@@ -107,6 +109,8 @@ class ForegroundSettings:
     shadow_chroma_pixel: float = 6.0
     shadow_edge: float = 0.07
     shadow_window_px: int = 5
+    grey_edge: float = 0.03
+    grey_window_px: int = 9
     outline_share: float = 0.4
     outline_window_px: int = 7
     smeared_share: float = 0.25
@@ -201,8 +205,8 @@ class Segmenter:
             raise ValueError(f"roi: expected shape {(height, width)}, got {roi.shape}")
         self._n_seen = 0
         self._colour_noise = 0.0
-        self._mean = np.array(background.mean, dtype=np.float32).reshape(height, -1)
-        self._background = np.clip(np.round(self._mean), 0, 255).astype(np.uint8)
+        self._learnt = background
+        self._set_colours(is_grey=background.is_grey)
         self._learnt_noise = float(np.median(background.std))
         limit = np.maximum(s.threshold_sigma * largest_channel(background.std), s.min_difference)
         limit += s.edge_jitter_px * _slope(self._background.reshape(self.shape))
@@ -222,6 +226,20 @@ class Segmenter:
         self._subtractor = None
         if s.method != "gaussian":
             self._subtractor = _trained_subtractor(s.method, background)
+
+    def _set_colours(self, *, is_grey: bool) -> None:
+        """Look at all colours, or at nothing but the brightness.  Begins anew from the background that was learnt."""
+        s = self.settings
+        self._is_grey = is_grey
+        self._edge, self._window_px = (
+            (s.grey_edge, s.grey_window_px) if is_grey else (s.shadow_edge, s.shadow_window_px)
+        )
+        mean = np.array(self._learnt.mean, dtype=np.float32)
+        shown = np.clip(np.round(mean), 0, 255).astype(np.uint8)
+        if is_grey:
+            shown = as_grey(shown)
+            mean = shown.astype(np.float32)
+        self._mean, self._background = mean.reshape(len(mean), -1), shown.reshape(len(shown), -1)
 
     def _set_noise(self, times: float) -> None:
         """Thresholds for pictures that are so many times as noisy as was learnt."""
@@ -245,6 +263,10 @@ class Segmenter:
         Raises ValueError for another shape than the background's.
         """
         self._check(image, protect)
+        if self._is_grey and not are_grey([image]):
+            self._set_colours(is_grey=False)  # somebody in colour came into a grey room
+        if self._is_grey:
+            image = as_grey(image)
         if self._subtractor is not None:
             raw = self._subtractor.apply(image, learningRate=_OPENCV_RATE[self.settings.method])
             raw[self._outside != 0] = 0
@@ -412,7 +434,7 @@ class Segmenter:
         if not active.any():
             return []
         s = self.settings
-        longest = max(s.closing_px, s.closing_hint_px, s.outline_window_px, s.shadow_window_px)
+        longest = max(s.closing_px, s.closing_hint_px, s.outline_window_px, self._window_px)
         margin = 1 + _scaled_px(longest, self.shape) // cell
         grown = cv2.dilate(active, _square(2 * margin + 1))
         n, labels, stats, _ = cv2.connectedComponentsWithStats(grown, connectivity=8)
@@ -441,7 +463,7 @@ class Segmenter:
         _kernels.majority(candidate, solid)
         self._take_out_smeared(rows, window, solid, largest)
         # The window averages noise, which small pictures have no less of.
-        side = _odd(max(_scaled_px(s.shadow_window_px, self.shape), s.shadow_window_px))
+        side = _odd(max(_scaled_px(self._window_px, self.shape), self._window_px))
         rule = _kernels.ShadowRule(
             half=side // 2,
             darkest=s.shadow_darkest,
@@ -449,7 +471,7 @@ class Segmenter:
             chroma_pixel=max(s.shadow_chroma_pixel, 4.0 * self._noise, 3.0 * self._colour_noise),
             chroma=s.shadow_chroma,
             least_chroma=max(s.shadow_chroma_least, 2.5 * self._noise * 2**0.5 / side, self._colour_noise),
-            edge=s.shadow_edge,
+            edge=self._edge,
             noise=_EDGE_NOISE * self._noise,
         )
         place = (window.y0, window.x0, width)

@@ -80,7 +80,7 @@ class Recorder:
         clip = _Clip(self._folder / "background" / f"{self._name}.mp4", scene.fps, scene.rig.size_px)
         for frame in range(scene.n_background_frames):
             rng = self._world.rng(8, self._order, frame)
-            clip.write(self._compressed(self._sensor.expose(self._view(0, 0).empty, 0, rng=rng)))
+            clip.write(self._as_stored(self._sensor.expose(self._view(0, 0).empty, 0, rng=rng)))
         clip.close()
 
     def record(self, frame: int, moments: Moments) -> None:
@@ -144,7 +144,7 @@ class Recorder:
         shot = int(time.shot[frame])
         rng = self._world.rng(9, self._order, shot)
         image = self._sensor.expose(picture, shot, light=float(time.gain[frame]), rng=rng)
-        return self._compressed(image), mask
+        return self._as_stored(image), mask
 
     def _measure_depth(self, frame: int, moments: Moments, config: DepthConfig) -> NDArray[np.uint16]:
         """The depth map of one picture, measured in an instant; zeros while the camera is off."""
@@ -169,7 +169,9 @@ class Recorder:
             self._views[pose, state] = CameraView(camera, self._world.room_in(state))
         return self._views[pose, state]
 
-    def _compressed(self, image: Image) -> Image:
+    def _as_stored(self, image: Image) -> Image:
+        if self._world.scene.picture.grey:
+            image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
         quality = self._world.scene.picture.jpeg_quality
         if quality is None or self._world.scene.picture.container == "jpg":
             return image

@@ -51,6 +51,8 @@ class PictureConfig(_Section):
     """Relative size of slow changes of the light."""
     colour_cast: float = Field(0.06, ge=0.0, le=0.3)
     """Spread of gain and colour between cameras."""
+    grey: bool = False
+    """Cameras that see no colours: all channels are the brightness."""
     exposure_ms: float = Field(0.0, ge=0.0, le=500.0)
     """Time for which the shutter is open: motion blur."""
     readout_ms: float = Field(0.0, ge=0.0, le=500.0)

@@ -3,11 +3,14 @@
 Dark trousers before a dark floor have the colour of the floor in shadow, and one picture cannot tell them apart. The
 other cameras can: a shadow lies on a surface that they see unoccupied, and they see it as dark as this one does. At
 somebody's feet the floor is as dark as a person: there the others see nobody just above it.
+
+Cameras that see no colours take most of a person for a shadow, each in its place: of them other rules hold.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -26,8 +29,10 @@ Pixels = NDArray[np.int32]
 Box = NDArray[np.int64]
 
 # With five cameras hulls that forgive two of them are so fat that shadows fall inside (room: IoU 0.952 to 0.948).
-LEAST_CAMERAS = 6
-_BLIND = 1  # cameras that may see nothing at all where a person is: a table stands before them
+LEAST_CAMERAS, LEAST_GREY_CAMERAS = 6, 4
+_GREY_CLOSING_PX = (
+    9  # of 640: gaps of so much are closed inside the volume, where a shirt is as bright as the wall
+)
 _FLOOR_M = 0.06  # what lies lower is not told from a shadow on the floor
 # At these heights over a contact shadow nobody is; from there on the volume of persons tells.
 _FEET_M = (0.04, 0.06, 0.08)
@@ -43,15 +48,42 @@ _REMAINS_PX = 5  # side of the square in which more than half of the mask must g
 _MOST_KEPT = 1 << 15
 
 
+class _Rule(NamedTuple):
+    """How many cameras may say what of a place where a person is.
+
+    n_blind : see nothing at all: a table stands before them, or he is as bright as what is behind him.  n_against : do
+    not see a person.  n_blind_before_wall : see nothing where no floor tells a shadow from him.  closing_px : of the
+    gaps in masks that are closed inside the volume; 0 = none.
+    """
+
+    n_blind: int
+    n_against: int
+    n_blind_before_wall: int
+    closing_px: int
+
+
+def least_cameras(*, are_grey: bool) -> int:
+    """Cameras that a second look takes.  are_grey : they see no colours."""
+    return LEAST_GREY_CAMERAS if are_grey else LEAST_CAMERAS
+
+
+def _rule_of(n_cameras: int, *, are_grey: bool) -> _Rule:
+    if are_grey:
+        return _Rule((n_cameras - 1) // 3, n_cameras - 2, max(0, n_cameras - 5), _GREY_CLOSING_PX)
+    return _Rule(1, (n_cameras - 1) // 2, 0, 0)
+
+
 class SecondLook:
     """The cameras of a rig on one grid, asked which shadows are none.
 
-    Not to be shared between threads: it holds work buffers. Raises ValueError for fewer than LEAST_CAMERAS cameras.
+    are_grey : the cameras see no colours.
+    Not to be shared between threads: it holds work buffers. Raises ValueError for fewer than `least_cameras`.
     """
 
-    def __init__(self, rig: CameraRig, grid: VoxelGrid) -> None:
-        if len(rig) < LEAST_CAMERAS:
-            raise ValueError(f"rig: expected at least {LEAST_CAMERAS} cameras, got {len(rig)}")
+    def __init__(self, rig: CameraRig, grid: VoxelGrid, *, are_grey: bool = False) -> None:
+        if len(rig) < (least := least_cameras(are_grey=are_grey)):
+            raise ValueError(f"rig: expected at least {least} cameras, got {len(rig)}")
+        self._rule = _rule_of(len(rig), are_grey=are_grey)
         self._rig, self._grid = rig, grid
         self._carver = Carver(rig, grid)
         sizes = [camera.size[::-1] for camera in rig]
@@ -81,8 +113,9 @@ class SecondLook:
 
         masks, shadows : (H, W) bool per camera, apart from each other. A shadow becomes foreground inside the volume
         that all cameras but one see as person or shadow, and more than half as person; before a wall, where no floor
-        tells, that all see so. Not where it lies on the floor, which is so where as many other cameras see shadow as
-        see the empty floor.
+        tells, that all see so. Without colours all but a third see the one, two the other; before a wall all but those
+        above five; and gaps are closed inside. Not where it lies on the floor, which is so where as many other cameras
+        see shadow as see the empty floor.
 
         doubtful : (H, W) bool per camera, what of the mask has a shadow's darkness and colour. It goes where it shows
         the floor at somebody's feet: outside that volume, where more than two of the others see nobody from 4 cm
@@ -103,10 +136,19 @@ class SecondLook:
         self._draw_shadow([len(shadow) > 0 for shadow, _ in asked])
         for picture, (shadow, _) in zip(self._pictures, asked, strict=True):
             kernels.shadows_of_persons(picture, shadow, _AROUND_PX // 2, _MOSTLY)
-        return [
+        out = [
             self._without_contact_shadow(c, box, doubt)
             for c, (box, (_, doubt)) in enumerate(zip(within, asked, strict=True))
         ]
+        if not self._rule.closing_px:
+            return out
+        return [self._closed(*own) for own in zip(self._pictures, out, strict=True)]
+
+    def _closed(self, picture: NDArray[np.uint8], mask: Mask) -> Mask:
+        """The mask (H, W) of a camera with the gaps closed that show the volume."""
+        side = round(self._rule.closing_px * mask.shape[1] / 640) | 1
+        closed = cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8)) > 0
+        return mask | (closed & ((picture & kernels.VOLUME) != 0))
 
     def _enter(self, c: int, box: Box, mask: Mask, shadow: Mask, doubtful: Mask) -> tuple[Pixels, Pixels]:
         """Take what a camera shows inside a box; the flat pixels of its shadows, and of what is doubtful."""
@@ -133,7 +175,7 @@ class SecondLook:
 
     def _draw_person(self) -> None:
         """Draw the volume that can be nothing but a person, and what of it nobody speaks against."""
-        voxels = self._carver.carve(self._either, n_faulty_views=_BLIND)
+        voxels = self._carver.carve(self._either, n_faulty_views=self._rule.n_blind)
         points = self._grid.centers(voxels)
         voxels, points = voxels[points[:, 2] > _FLOOR_M], points[points[:, 2] > _FLOOR_M]
         pixels = pixels_in_all(self._rig, points)
@@ -141,8 +183,11 @@ class SecondLook:
         kernels.count_against(pixels, self._bits, self._start, kernels.MASK, against)
         # Before a wall nobody says whether a shadow lies there: then no camera may speak against the person.
         kernels.count_against(pixels, self._bits, self._start, kernels.MASK | kernels.SHADOW, clear)
-        is_person = against <= (len(self._rig) - 1) // 2
-        for some, bit in ((is_person, kernels.VOLUME), (is_person & (clear == 0), kernels.SURE)):
+        is_person = against <= self._rule.n_against
+        for some, bit in (
+            (is_person, kernels.VOLUME),
+            (is_person & (clear <= self._rule.n_blind_before_wall), kernels.SURE),
+        ):
             outer = surface_voxels(voxels[some], self._grid)
             self._draw(pixels[:, np.flatnonzero(some)[outer]], points[some][outer], bit)
 

@@ -80,6 +80,38 @@ def test_a_clip_that_fits_is_left_alone() -> None:
     assert (fit.shift_px, fit.is_elsewhere, fit.gone.any()) == ((0.0, 0.0), False, False)
 
 
+def in_grey(picture: np.ndarray) -> np.ndarray:
+    return np.dstack([picture[..., 0]] * 3)
+
+
+@pytest.mark.parametrize("has_colour", [False, True])
+def test_a_grey_room_with_people_in_colour_is_seen_in_colour(has_colour: bool) -> None:
+    rng = np.random.default_rng(3)
+    pictures, _ = recording(room(), rng)
+    greys = [in_grey(picture) for picture in pictures]
+    background = learn_background(in_grey(seen(room(), rng)) for _ in range(20))
+    if has_colour:
+        greys[3][100:130, 100:130] = (60, 70, 140)
+    assert background.is_grey
+    assert fit_background(background, greys).background.is_grey is not has_colour
+
+
+def test_a_clip_in_colour_serves_a_recording_without() -> None:
+    """A camera may have switched to infrared."""
+    rng = np.random.default_rng(4)
+    scene = room() + np.array([0.0, -30.0, -60.0])
+    pictures, truth = recording(scene, rng)
+    for picture, mask in zip(pictures, truth, strict=True):
+        picture[mask] //= 3
+    greys = [cv2.cvtColor(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB) for p in pictures]
+    background = learn_background(seen(scene, rng) for _ in range(20))
+    fit = fit_background(background, greys)
+    assert not background.is_grey
+    assert fit.background.is_grey
+    assert not fit.is_elsewhere
+    assert iou(fit.background, greys, truth) > iou(background, greys, truth) + 0.2
+
+
 @pytest.mark.parametrize("what", ["another room", "another lens"])
 def test_another_place_and_another_lens_are_told(what: str) -> None:
     rng = np.random.default_rng(3)

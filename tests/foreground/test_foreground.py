@@ -590,3 +590,52 @@ def test_strong_compression_makes_no_persons_of_shadows():
     found = segmenter.segment(poor).mask
     assert iou(found, mask) > 0.85
     assert np.count_nonzero(found & shadow & ~mask) < 0.15 * np.count_nonzero(shadow & ~mask)
+
+
+def grey(picture: np.ndarray) -> np.ndarray:
+    return np.dstack([picture[..., 1]] * 3)
+
+
+def test_a_camera_without_colours_is_told_by_its_pictures() -> None:
+    """Also when compression has given them a tint, other in the empty clip than in the recording."""
+    rng = np.random.default_rng(30)
+    pictures = [photograph(np.full((H, W, 3), 120.0), rng) for _ in range(10)]
+    tinted = [grey(picture) + np.array([7, 0, 3], np.uint8) for picture in pictures]
+    background = learn_background(tinted)
+    assert background.is_grey
+    assert learn_background(tinted[:1]).is_grey
+    assert median_background(tinted).is_grey
+    found = Segmenter(background, SETTINGS).segment(grey(pictures[0]))
+    assert not found.mask.any()
+    # Half a per cent of colour in one of them, as a red lamp has, is no rounding.
+    tinted[3][:8, :12, 0] = 250
+    assert not learn_background(tinted).is_grey
+
+
+def test_a_colour_camera_before_a_grey_wall_sees_colours() -> None:
+    """Its noise differs from channel to channel."""
+    rng = np.random.default_rng(31)
+    scene = np.full((H, W, 3), 120.0)
+    assert not learn_background(
+        photograph(scene + rng.normal(0, 2, scene.shape), rng) for _ in range(10)
+    ).is_grey
+
+
+def test_folds_and_limbs_are_no_shadow_without_colours() -> None:
+    """A person whose brightness changes by 0.04 of the wall's per pixel, as round a limb, has nothing else to tell him
+    from a shadow; one that changes softly is taken for one."""
+    rng = np.random.default_rng(31)
+    scene = np.full((H, W, 3), 150.0)
+    background = learn_background([photograph(scene, rng, 1.0)[..., :1].repeat(3, axis=2) for _ in range(20)])
+    mask = person_at(70)
+    across = np.abs(np.arange(W) - 79.5)[None, :, None]
+    found = {}
+    for name, slope in (("round", 0.04), ("soft", 0.005)):
+        person = np.broadcast_to(150.0 * (0.95 - slope * across), scene.shape)
+        picture = np.where(mask[..., None], person, scene)
+        shown = photograph(picture, rng)[..., :1].repeat(3, axis=2)
+        found[name] = Segmenter(background, SETTINGS).segment(shown)
+    assert np.count_nonzero(found["round"].mask & mask) > 0.9 * mask.sum()
+    assert np.count_nonzero(found["soft"].shadow & mask) > 0.5 * mask.sum()
+    coloured = Segmenter(background, ForegroundSettings(min_area_px=600.0, grey_edge=0.07, grey_window_px=5))
+    assert np.count_nonzero(coloured.segment(shown).mask & mask) < 0.5 * mask.sum()

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mocap.foreground import refine_mask
+from mocap.foreground import grey_outline, refine_mask
 
 H, W = 96, 128
 
@@ -83,3 +83,35 @@ def test_shapes_are_checked() -> None:
         refine_mask(image, truth, truth, truth[:, 1:])
     with pytest.raises(ValueError, match="image"):
         refine_mask(image[:, :, 0], truth, truth)
+
+
+def test_a_grey_shirt_before_a_wall_as_bright_is_found_by_its_edges() -> None:
+    """It is as bright as the wall within eight levels, and a band of it and its rim were missed."""
+    rng = np.random.default_rng(7)
+    truth = np.kron(scene(0)[1], np.ones((5, 5))).astype(bool)  # 640 x 480
+    empty = np.full(truth.shape, 120.0)
+    shirt, trousers, band = truth.copy(), truth.copy(), truth.copy()
+    shirt[250:], trousers[:250] = False, False
+    band[:150], band[172:] = False, False
+    shown = np.where(trousers, 60.0, np.where(shirt, 128.0, empty)) + rng.normal(0, 1.5, truth.shape)
+    found = grown(truth, -3) & ~band
+    again = grey_outline(shown.clip(0, 255).astype(np.uint8), empty.astype(np.uint8), found)
+    assert np.count_nonzero(again & band) > 0.9 * np.count_nonzero(band)
+    assert iou(again, truth) > 0.99 > iou(found, truth) + 0.1
+    assert not np.any(again & ~grown(truth, 1))
+
+
+def test_far_from_a_grey_mask_nothing_is_added() -> None:
+    """Shade as dark as he is, half a metre beside him."""
+    truth = np.kron(scene(0)[1], np.ones((5, 5))).astype(bool)
+    shade = np.roll(truth, 200, axis=1)
+    shown = np.where(truth | shade, 80, 120).astype(np.uint8)
+    again = grey_outline(shown, np.full_like(shown, 120), truth)
+    assert np.array_equal(again, truth)
+
+
+def test_who_is_in_no_mask_is_nobody_without_colours_either() -> None:
+    image, truth = scene(1)
+    grey = np.ascontiguousarray(image[..., 1])
+    nobody = np.zeros_like(truth)
+    assert not grey_outline(grey, grey, nobody).any()

@@ -31,7 +31,12 @@ def test_presets_say_what_they_are_for() -> None:
     assert load_config().pose.search_every_frames == "auto"
     assert load_config("best").pose.search_every_frames == 1
     assert quick.method.follow.rarely_frames == 3 > load_config().method.follow.rarely_frames
-    less = ("pose.texture_weight=0", "pose.texture_every_frames=1", "output.formats=report")
+    less = (
+        "pose.texture_weight=0",
+        "pose.texture_every_frames=1",
+        "output.formats=report",
+        "segmentation.grey_outlines=false",
+    )
     assert load_config("default", ("method.follow.rarely_frames=3", *less)) == quick  # and nothing else
     best, all_of_it = load_config("best"), ("pose.search_every_frames=1", "pose.texture_every_frames=1")
     assert load_config("default", all_of_it) == best

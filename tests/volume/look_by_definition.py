@@ -18,28 +18,40 @@ Masks = Sequence[np.ndarray]
 
 BLIND, FLOOR_M, FEET_M, MISSING, BARE, LEAST_OTHERS = 1, 0.06, (0.04, 0.06, 0.08), 2, 1, 4
 MOSTLY, AROUND_PX, REMAINS_PX = 0.7, 15, 5
+GREY_CLOSING_PX = 3  # 9 in a picture 640 pixels wide; these are 240
 
 
 class LookByDefinition:
     """What `SecondLook` does."""
 
-    def __init__(self, rig: CameraRig, grid: VoxelGrid) -> None:
+    def __init__(self, rig: CameraRig, grid: VoxelGrid, *, are_grey: bool = False) -> None:
         self._rig, self._grid = rig, grid
+        n = len(rig)
+        self._n_blind, self._n_against, self._n_before_wall, self._closing_px = (
+            ((n - 1) // 3, n - 2, max(0, n - 5), GREY_CLOSING_PX) if are_grey else (BLIND, (n - 1) // 2, 0, 0)
+        )
         floor = _floor_of(grid)
         self._floor = [_Places(camera, floor, pixels_of_points(camera, floor)) for camera in rig]
         self._before_floor = [places.drawn(grid.voxel_size_m) for places in self._floor]
 
     def masks(self, masks: Masks, shadows: Masks, doubtful: Masks) -> list[Array]:
-        person = self._drawn_person(masks, shadows)
+        person, volume = self._drawn_person(masks, shadows)
         floor = self._drawn_shadow(masks, shadows)
         whole = [
             mask | _mostly(shadow & there & ~lying, shadow)
             for mask, shadow, there, lying in zip(masks, shadows, person, floor, strict=True)
         ]
         seen = [mask | shadow for mask, shadow in zip(whole, shadows, strict=True)]
-        return [
+        clean = [
             mask & ~self._contact_shadow(c, whole, seen, mask & doubt & ~there)
             for c, (mask, doubt, there) in enumerate(zip(whole, doubtful, person, strict=True))
+        ]
+        if self._closing_px == 0:
+            return clean
+        square = np.ones((self._closing_px,) * 2, np.uint8)
+        return [
+            mask | (there & (cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_CLOSE, square) > 0))
+            for mask, there in zip(clean, volume, strict=True)
         ]
 
     def _contact_shadow(self, c: int, masks: Masks, seen: Masks, asked: Array) -> Array:
@@ -70,39 +82,36 @@ class LookByDefinition:
                 n_against += (pixels >= 0) & ~mask.ravel()[pixels]
         return n_against, n_seeing
 
-    def _drawn_person(self, masks: Masks, shadows: Masks) -> list[Array]:
-        """Where each camera would see the volume that can be nothing but a person."""
+    def _drawn_person(self, masks: Masks, shadows: Masks) -> tuple[list[Array], list[Array]]:
+        """Where each camera would see the volume that can be nothing but a person, and that volume with its rim."""
         either = [mask | shadow for mask, shadow in zip(masks, shadows, strict=True)]
-        voxels = carve_bruteforce(self._rig, self._grid, either, n_faulty_views=BLIND)
+        voxels = carve_bruteforce(self._rig, self._grid, either, n_faulty_views=self._n_blind)
         pixels = np.column_stack([pixels_of_points(c, self._grid.centers(voxels)) for c in self._rig])
         against = np.zeros(len(voxels), dtype=np.int64)
         for c, mask in enumerate(masks):
             against += (pixels[:, c] >= 0) & ~mask.ravel()[pixels[:, c]]
         high = self._grid.centers(voxels)[:, 2] > FLOOR_M
-        keep = high & (against <= (len(masks) - 1) // 2)
+        keep = high & (against <= self._n_against)
         voxels, pixels = voxels[keep], pixels[keep]
-        # Before a wall nobody says whether a shadow lies there: then no camera may speak against the person.
+        # Before a wall nobody says whether a shadow lies there.
         clear = np.zeros(len(voxels), dtype=np.int64)
         for c, mask in enumerate(either):
             clear += (pixels[:, c] >= 0) & ~mask.ravel()[pixels[:, c]]
-        sure = self._drawn(voxels[clear == 0], pixels[clear == 0])
+        agreed = clear <= self._n_before_wall
+        volume, sure = self._drawn(voxels, pixels), self._drawn(voxels[agreed], pixels[agreed])
         return [
-            some & (floor | all_agree)
-            for some, floor, all_agree in zip(
-                self._drawn(voxels, pixels), self._before_floor, sure, strict=True
-            )
-        ]
+            _without_rim(some) & (floor | _without_rim(all_agree))
+            for some, floor, all_agree in zip(volume, self._before_floor, sure, strict=True)
+        ], volume
 
     def _drawn(self, voxels: Array, pixels: Array) -> list[Array]:
-        """A volume as each camera would see it, without the rim.  pixels : (N, C) of its voxels."""
+        """A volume as each camera would see it.  pixels : (N, C) of its voxels."""
         outer = surface_voxels(voxels, self._grid)
         points, pixels = self._grid.centers(voxels[outer]), pixels[outer]
-        disc = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-        drawn = []
-        for c, camera in enumerate(self._rig):
-            there = _Places(camera, points, pixels[:, c]).drawn(self._grid.voxel_size_m)
-            drawn.append(cv2.erode(there.view(np.uint8), disc).view(np.bool_))
-        return drawn
+        return [
+            _Places(camera, points, pixels[:, c]).drawn(self._grid.voxel_size_m)
+            for c, camera in enumerate(self._rig)
+        ]
 
     def _drawn_shadow(self, masks: Masks, shadows: Masks) -> list[Array]:
         """Where each camera would see what the others say is a shadow on the floor."""
@@ -138,6 +147,11 @@ class _Places:
         v, u = np.divmod(pixels[pixels >= 0], self.camera.size[0])
         uv = np.column_stack([u, v]).astype(np.float64)
         return squares(self.camera, uv, depth[pixels >= 0], side_m)
+
+
+def _without_rim(drawn: Array) -> Array:
+    disc = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+    return cv2.erode(drawn.view(np.uint8), disc).view(np.bool_)
 
 
 def _floor_of(grid: VoxelGrid) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -18,7 +18,9 @@ from mocap.foreground import (
     ForegroundSettings,
     MaskQuality,
     Segmenter,
+    brightness_of,
     empty_picture,
+    grey_outline,
     mask_quality,
 )
 from mocap.foreground.quality import Triple
@@ -41,18 +43,30 @@ from mocap.pipeline.stage import (
 from mocap.products import empty as empty_product
 from mocap.products.masks import PRODUCT, mask_row, masks_from_arrays
 from mocap.volume import SecondLook, choose_grid
-from mocap.volume.second_look import LEAST_CAMERAS
+from mocap.volume.second_look import least_cameras
 
 _QUALITY_FRAMES = 40  # looked at closely for the quality of the masks
 # Voxels of the second look. IoU 0.938, 0.937, 0.937 with 2.5, 3 and 4 cm (furnished, every sixth of ten frames).
 _LOOK_VOXEL_M = 0.04
 
 
+class _Begun(NamedTuple):
+    """What the first half of a step leaves to the second.
+
+    found : of every camera.  greys : brightness of its picture and of its empty scene, (H, W) uint8 each, where its
+    outline is to be found once more.
+    """
+
+    found: Sequence[ForegroundMask]
+    greys: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]] | None]
+
+
 @dataclass(frozen=True, eq=False)
 class _Segmenting:
     """One segmenter per camera, which learn as they go; none where masks are taken over.
 
-    look : at all masks of a frame together; None = every camera on its own.  empty : the empty scene as the cameras see
+    look : at all masks of a frame together; None = every camera on its own.  cuts_again : outlines are found once more,
+    in pictures without colours.  empty : the empty scene as the cameras see
     it.  never_empty : names of those of whose picture a part was never seen empty.
     """
 
@@ -60,6 +74,7 @@ class _Segmenting:
     warnings: tuple[str, ...]
     each: Callable[..., Iterable[Any]]
     look: SecondLook | None = None
+    cuts_again: bool = False
     empty: tuple[NDArray[np.uint8], ...] = ()
     never_empty: tuple[str, ...] = ()
 
@@ -85,26 +100,47 @@ def _start(job: Job) -> _Segmenting:
         Segmenter(b, foreground, roi=region_of_interest(session, camera))
         for b, camera in zip(backgrounds, session.rig, strict=True)
     )
+    are_grey = all(b.is_grey for b in backgrounds)
+    look = second_look(session, are_grey=are_grey) if settings.second_look else None
+    if grey := [c.name for b, c in zip(backgrounds, session.rig, strict=True) if b.is_grey]:
+        warnings.append(_words_of_grey(grey, is_looked_at=look is not None))
     # The halves of a step keep two threads busy; a live engine does one after the other.
     each = map if job.n_threads == 2 and not job.is_endless else job.each
     return _Segmenting(
         segmenters,
         tuple(warnings),
         each,
-        second_look(session) if settings.second_look else None,
+        look,
+        are_grey and look is not None and settings.grey_outlines,
         tuple(map(empty_picture, backgrounds)),
         tuple(c.name for b, c in zip(backgrounds, session.rig, strict=True) if b.holds_somebody),
     )
 
 
-def second_look(session: Session) -> SecondLook | None:
-    """A second look at the masks of a session; None where its cameras are too few or share no room."""
-    if len(session.rig) < LEAST_CAMERAS:
+def _words_of_grey(names: Sequence[str], *, is_looked_at: bool) -> str:
+    """What pictures without colours mean for the masks."""
+    how = (
+        "where cameras see him together and by soft edges"
+        if is_looked_at
+        else f"soft edges alone, as fewer than {least_cameras(are_grey=True)} cameras, or some without colours among "
+        "others, do not say it together: much of a person may be missing"
+    )
+    return (
+        f"no colours are seen by {', '.join(names)}: a person is told from his shadow by {how}. Remedy: colour "
+        "cameras, or clothes that are brighter or darker than what is behind them"
+    )
+
+
+def second_look(session: Session, *, are_grey: bool = False) -> SecondLook | None:
+    """A second look at the masks of a session; None where its cameras are too few or share no room.
+
+    are_grey : they see no colours.
+    """
+    if len(session.rig) < least_cameras(are_grey=are_grey):
         return None
     try:
-        return SecondLook(
-            session.rig, choose_grid(session.rig, _LOOK_VOXEL_M, bounds_m=session.room_bounds_m)
-        )
+        grid = choose_grid(session.rig, _LOOK_VOXEL_M, bounds_m=session.room_bounds_m)
+        return SecondLook(session.rig, grid, are_grey=are_grey)
     except ValueError:
         return None  # the stage that carves says why
 
@@ -116,7 +152,13 @@ def _step(state: _Segmenting, seen: Seen) -> tuple[_Segmenting, Seen, Sequence[R
         return state, seen, [Row(PRODUCT, seen.frame, row)]
     assert seen.pictures is not None
     found = list(state.each(_segmented, state.segmenters, seen.pictures))
-    return state, replace(seen, masks=[m.mask for m in found], begun=found), []
+    greys = [
+        (brightness_of(picture), brightness_of(segmenter.background))
+        if state.cuts_again and len(picture)
+        else None
+        for segmenter, picture in zip(state.segmenters, seen.pictures, strict=True)
+    ]
+    return state, replace(seen, masks=[m.mask for m in found], begun=_Begun(found, greys)), []
 
 
 def _then(state: _Segmenting, seen: Seen) -> tuple[Seen, Sequence[Row]]:
@@ -124,7 +166,7 @@ def _then(state: _Segmenting, seen: Seen) -> tuple[Seen, Sequence[Row]]:
     if seen.begun is None:
         return seen, ()  # they were taken over
     assert seen.masks is not None
-    masks, found, look = seen.masks, seen.begun, state.look
+    masks, (found, greys), look = seen.masks, seen.begun, state.look
     usable = np.array([m.is_usable for m in found])
     shadow = np.array([m.shadow_share for m in found], dtype=np.float32)
     if 2 * np.count_nonzero(usable) < len(usable):
@@ -136,8 +178,18 @@ def _then(state: _Segmenting, seen: Seen) -> tuple[Seen, Sequence[Row]]:
             [getattr(m, part) for m in found] for part in ("shadow", "doubtful", "box")
         )
         masks = look.masks(masks, shadows, doubtful, boxes)
+        if state.cuts_again:
+            masks = list(state.each(_cut_again, greys, masks))
     row = Row(PRODUCT, seen.frame, mask_row(masks, shadow, usable))
     return replace(seen, masks=masks, empty=state.empty if seen.index == 0 else ()), [row]
+
+
+def _cut_again(
+    grey: tuple[NDArray[np.uint8], NDArray[np.uint8]] | None,
+    mask: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """The outline of a camera's mask, found once more if it is to be.  grey : as of _Begun."""
+    return grey_outline(*grey, mask) if grey is not None else mask
 
 
 def _segmented(segmenter: Segmenter, picture: NDArray[np.uint8]) -> ForegroundMask:
