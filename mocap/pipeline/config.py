@@ -49,7 +49,7 @@ class SegmentationConfig(_Section):
     others see as him; false = every camera on its own."""
     grey_outlines: bool = True
     """After the second look at pictures without colours, find every outline once more by brightness and edges, which
-    takes 20 to 35 ms per picture; false = leave it out, as the presets `realtime` and `live` do."""
+    takes about 20 ms per picture; false = leave it out, as the presets `realtime` and `live` do."""
     hold_s: float = Field(default=600.0, gt=0)
     """Seconds after which what never stops being foreground becomes background, such as a chair that was moved; longer
     than anybody sits still."""

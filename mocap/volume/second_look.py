@@ -30,9 +30,8 @@ Box = NDArray[np.int64]
 
 # With five cameras hulls that forgive two of them are so fat that shadows fall inside (room: IoU 0.952 to 0.948).
 LEAST_CAMERAS, LEAST_GREY_CAMERAS = 6, 4
-_GREY_CLOSING_PX = (
-    9  # of 640: gaps of so much are closed inside the volume, where a shirt is as bright as the wall
-)
+# Of a picture 640 pixels wide. Gaps of so much are closed inside the volume, where a shirt is as bright as the wall.
+_GREY_CLOSING_PX = 9
 _FLOOR_M = 0.06  # what lies lower is not told from a shadow on the floor
 # At these heights over a contact shadow nobody is; from there on the volume of persons tells.
 _FEET_M = (0.04, 0.06, 0.08)
@@ -181,7 +180,8 @@ class SecondLook:
         pixels = pixels_in_all(self._rig, points)
         against, clear = np.empty((2, len(voxels)), dtype=np.int64)
         kernels.count_against(pixels, self._bits, self._start, kernels.MASK, against)
-        # Before a wall nobody says whether a shadow lies there: then no camera may speak against the person.
+        # Before a wall nobody says whether a shadow lies there: then no camera, without
+        # colours no more than the rule says, may speak against the person.
         kernels.count_against(pixels, self._bits, self._start, kernels.MASK | kernels.SHADOW, clear)
         is_person = against <= self._rule.n_against
         for some, bit in (
