@@ -39,7 +39,7 @@ from eval.second_pass import evidence_of_rows
 from eval.whole import kept_rows, write_csv
 from mocap.arrays import Array
 from mocap.body import Body, landmarks_of
-from mocap.body.stretch import segment_groups, stretch_body
+from mocap.body.stretch import resize_body, segment_kinds, stretch_body
 from mocap.data import LANDMARKS
 from mocap.metrics.points import offset_corrected, point_errors
 from mocap.pose.result import FollowedPerson
@@ -58,37 +58,26 @@ FRAMES_WORTH = 2.0
 _NO_LENGTH_M = 1e-6
 
 
-def kinds_of(body: Body) -> NDArray[np.int64]:
-    """Group of every joint's segment, (J,), left and right alike; a joint at its parent's place, about which a forearm
-    pronates, is of the parent's."""
-    groups = segment_groups(body).copy()
-    for j, parent in enumerate(body.parent):
-        if parent >= 0 and np.linalg.norm(body.offset[j]) < _NO_LENGTH_M:
-            groups[j] = groups[parent]
-    return groups
-
-
 def girth_groups(body: Body) -> NDArray[np.int64]:
     """Group of every cone's girth, (K,): cones of joints whose names differ by left_ and right_ only share one."""
-    return kinds_of(body)[body.cones.joint]
+    return segment_kinds(body)[body.cones.joint]
 
 
 def length_groups(body: Body) -> list[int]:
     """Groups of segments that carry flesh, or a joint at some distance."""
-    groups = kinds_of(body)
+    groups = segment_kinds(body)
     carries = (body.parent >= 0) & (np.linalg.norm(body.offset, axis=1) > _NO_LENGTH_M)
     return sorted({*groups[body.parent[carries]].tolist(), *girth_groups(body).tolist()})
 
 
 def with_girths(body: Body, logs: Array) -> Body:
     """The body with the radii of each group multiplied.  logs : (G,) of the factors."""
-    factor = np.exp(logs[girth_groups(body)])[:, None]
-    return replace(body, cones=replace(body.cones, radii=body.cones.radii * factor))
+    return resize_body(body, 1.0, np.exp(logs))
 
 
 def with_lengths(body: Body, logs: Array) -> Body:
     """The body with each group of segments stretched, its girths as they are.  logs : (G,) of the factors."""
-    stretch = np.repeat(np.exp(logs[kinds_of(body)])[:, None], 3, axis=1)
+    stretch = np.repeat(np.exp(logs[segment_kinds(body)])[:, None], 3, axis=1)
     longer = stretch_body(body, stretch)
     return replace(longer, height_m=body.height_m, cones=replace(longer.cones, radii=body.cones.radii))
 
@@ -105,7 +94,7 @@ def fitted_body(
 
     change : of a body by the logarithms of factors.  groups : that have something to fit.  std : of the prior.
     """
-    logs = np.zeros(int(kinds_of(body).max()) + 1)
+    logs = np.zeros(int(segment_kinds(body).max()) + 1)
 
     def cost(tried: Array) -> float:
         tools = frames[0].tools.with_body(change(body, tried))

@@ -119,11 +119,13 @@ class HeightEstimate:
     """Standing height, m, and whether it was read from the hull (False: the default was taken).
 
     low_m : of a hull too low for that, the height that the person has if he stands: a child. None otherwise.
+    is_given : it was stated, and nothing is to change it.
     """
 
     height_m: float
     is_measured: bool
     low_m: float | None = None
+    is_given: bool = False
 
 
 def head_top(centers: Array, voxel_size_m: float) -> float:

@@ -12,12 +12,34 @@ from mocap.body.kinematics import cones_of, landmarks_of, neutral_state
 from mocap.body.model import Body, Cones
 from mocap.data.motion import LANDMARKS
 
+_NO_LENGTH_M = 1e-6
+_BARE = ("neck", "wrist", "ankle", "mtp")
+
 
 def segment_groups(body: Body) -> NDArray[np.int64]:
     """Group of every joint's segment, (J,): joints whose names differ by left_ and right_ only share one."""
     names = [j.removeprefix("left_").removeprefix("right_") for j in body.joints]
     order = list(dict.fromkeys(names))
     return np.array([order.index(n) for n in names], dtype=np.int64)
+
+
+def segment_kinds(body: Body) -> NDArray[np.int64]:
+    """Kind of every joint's segment, (J,): as its group, but a joint at its parent's place, about which a forearm
+    pronates, is of the parent's."""
+    kinds = segment_groups(body)
+    for j, parent in enumerate(body.parent):
+        if parent >= 0 and np.linalg.norm(body.offset[j]) < _NO_LENGTH_M:
+            kinds[j] = kinds[parent]
+    return kinds
+
+
+def covered_kinds(body: Body) -> NDArray[np.bool_]:
+    """Which kinds of segments clothes cover, (G,): all but head, hands and feet."""
+    kinds = segment_kinds(body)
+    covered = np.zeros(int(kinds.max()) + 1, dtype=np.bool_)
+    for joint, kind in zip(body.joints, kinds, strict=True):
+        covered[kind] |= joint.removeprefix("left_").removeprefix("right_") not in _BARE
+    return covered
 
 
 def stretch_body(body: Body, stretch: Array) -> Body:
@@ -87,16 +109,23 @@ def with_lengths(body: Body, lengths: dict[str, list[list[float]]]) -> Body:
     )
 
 
-def resize_body(body: Body, lengths: float, radii: float) -> Body:
+def resize_body(body: Body, lengths: float, radii: float | Array) -> Body:
     """The body with all lengths multiplied by one factor, the radii of its flesh by another, and the height with the
-    lengths."""
-    if not (np.isfinite([lengths, radii]).all() and lengths > 0 and radii > 0):
+    lengths.
+
+    radii : one factor, or one of each kind of segment, (G,) as `segment_kinds` counts them.
+    """
+    factors = np.asarray(radii, dtype=np.float64)
+    if not (np.isfinite(lengths) and np.isfinite(factors).all() and lengths > 0 and (factors > 0).all()):
         raise ValueError(f"lengths and radii must be positive factors, got {lengths} and {radii}")
     cones = body.cones
+    of_cones = factors[segment_kinds(body)[cones.joint], None] if factors.ndim else factors
     return replace(
         body,
         height_m=body.height_m * lengths,
         offset=body.offset * lengths,
         landmark_offset=body.landmark_offset * lengths,
-        cones=replace(cones, start=cones.start * lengths, end=cones.end * lengths, radii=cones.radii * radii),
+        cones=replace(
+            cones, start=cones.start * lengths, end=cones.end * lengths, radii=cones.radii * of_cones
+        ),
     )

@@ -141,7 +141,7 @@ class ForwardPerson:
         else:
             rows = list(range(len(looked_at)))
             height = (
-                HeightEstimate(self._given_m, True)
+                HeightEstimate(self._given_m, True, is_given=True)
                 if self._given_m is not None
                 else estimate_height(self._grid, hull_of, rows)
             )
@@ -150,8 +150,7 @@ class ForwardPerson:
             tools = self._tools_of(height.height_m)
         tools = replace(tools, fps=fps)
         clip = _clip(self.person, looked_at, VolumeObservation(tools, hull_of))
-        is_size_fitted = self._known is None and self._given_m is None
-        start = start_person(clip, height, seed=self._seed, is_size_fitted=is_size_fitted)
+        start = start_person(clip, height, seed=self._seed, is_size_fitted=self._known is None)
         numbers, stride = tools.settings.method.start, self.settings.stride_frames
         brisk = start.tools.brisk(numbers.trial_layers, numbers.trial_particles, stride, refine=True)
         observation = VolumeObservation(brisk, hull_of)

@@ -378,6 +378,17 @@ class SizeSettings(_Strict):
     """Of the search, in the logarithm of the size."""
     girth_step: float = 0.08
     """Of the search, in the logarithm of the girth."""
+    own_girth: float = 0.05
+    """Whose girth differs more from the usual one, in its logarithm, has girths of his own: who wears wide clothes, who
+    is stout or slim (decision 119)."""
+    girth_cameras: int = 3
+    """Before fewer cameras nobody has: two leave hulls that are wider than who is in them."""
+    apart_std: float = 0.1
+    """Standard deviation of the logarithms of his girths from their common one."""
+    n_girth_passes: int = 2
+    """So often all of them are walked downhill, one after the other."""
+    own_step: float = 0.015
+    """Of the size meanwhile."""
     furthest_steps: int = 5
     """Steps that the search may go."""
     n_refinements: int = 5

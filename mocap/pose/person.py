@@ -320,8 +320,8 @@ def follow_frames(
     clip : the person's track and hulls, with a body of the given height in its tools.
     The first pose is looked for in a few frames in the middle, or as near to it as the person stands; the filter runs
     from the best of them to the end, and back to the beginning.
-    is_size_fitted : `height` is only the highest place of the head; the size is fitted to some frames around the first
-    pose, and the height changes with it; of who never stands to frames of the whole clip
+    is_size_fitted : girths and, where it was not given, the size are fitted to some frames around the first pose, as
+    `height` is only the highest place of the head, and changes with it; of who never stands to frames of the whole clip
     besides, and he is followed once more.
     Raises ValueError when no frame has a usable hull.
     """
@@ -549,6 +549,8 @@ def _sized(
     # The frames that are explained best: a limb that is lost says nothing of the size.
     seen = sorted(seen, key=lambda pose: -pose.evidence)[: numbers.n_frames]
     sized = _resized(clip, [(pose.row, pose.state) for pose in seen], height)
+    if np.array_equal(sized.body.cones.radii, tools.body.cones.radii):
+        return tools, height, first  # of the usual girth, and the height was given
     prepared = clip.observation.prepare(first.frame)
     again = clip.observation.with_tools(sized)
     state = first.state if prepared is None else again.evidence(prepared).refined(first.state)
@@ -564,8 +566,8 @@ def _resized(clip: VolumeClip, poses: Sequence[tuple[int, Array]], height: Heigh
         if prepared is not None:
             problems.append(clip.observation.evidence(prepared))
             states.append(state)
-    fit = fit_size(problems, states, is_head_seen=height.is_measured)
-    return clip.observation.tools.resized(fit.factor)
+    fit = fit_size(problems, states, is_head_seen=height.is_measured, is_given=height.is_given)
+    return clip.observation.tools.resized(fit.factor, fit.radii)
 
 
 def _sized_anew(clip: VolumeClip, series: FrameSeries, start: Start) -> Start | None:

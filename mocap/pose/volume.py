@@ -231,9 +231,10 @@ class VolumeTools(PersonTools):
             else ColourProblem(self.body, known.rays, appearance),
         )
 
-    def resized(self, factor: float, girth: float | None = None) -> VolumeTools:
-        """The tools with a body of another size.  girth : factor of the radii, None = as the lengths."""
-        return self.with_body(resize_body(self.body, factor, factor if girth is None else girth))
+    def resized(self, factor: float, radii: float | Array | None = None) -> VolumeTools:
+        """The tools with a body of another size.  radii : their factor, or one of each kind of segment, (G,); None = as
+        the lengths."""
+        return self.with_body(resize_body(self.body, factor, factor if radii is None else radii))
 
     @property
     def without_floor(self) -> VolumeTools:

@@ -11,6 +11,7 @@ import pytest
 from eval import accuracy, body_size, inner_evidence, person_surface, pose_ablation
 from eval.whole import with_table
 from mocap.body import landmarks_of, load_body_model, neutral_state, scale_body
+from mocap.body.stretch import segment_kinds
 from mocap.data import LANDMARKS, Motion
 
 FPS = 30.0
@@ -87,7 +88,7 @@ def test_the_page_of_bodies_says_what_the_table_of_sizes_says() -> None:
 
 def test_girths_and_lengths_change_what_they_are_called() -> None:
     body = scale_body(load_body_model("whole"), 1.75)
-    groups = person_surface.kinds_of(body)
+    groups = segment_kinds(body)
     n = int(groups.max()) + 1
     elbow = int(groups[body.joints.index("left_elbow")])
     thicker = person_surface.with_girths(body, np.log(1.1) * (np.arange(n) == elbow))

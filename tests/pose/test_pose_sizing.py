@@ -10,9 +10,9 @@ import pytest
 from flesh_voxels import make_flesh, rasterise
 from marker_world import marching
 
-from mocap.body import candidate_states, landmarks_of, neutral_state
+from mocap.body import candidate_states, landmarks_of, load_body_model, neutral_state, scale_body
 from mocap.body.initial import DEFAULT_HEIGHT_M, HeightEstimate
-from mocap.body.stretch import lengths_of, resize_body, stretch_body
+from mocap.body.stretch import covered_kinds, lengths_of, resize_body, segment_kinds, stretch_body
 from mocap.data import LANDMARKS
 from mocap.pipeline.config import LikelihoodConfig, PoseConfig
 from mocap.pipeline.pose_settings import make_tools
@@ -66,13 +66,28 @@ def test_a_resized_body_is_a_similar_one() -> None:
     state = neutral_state(FLESH.body)[None]
     state[:, :3] = 0
     np.testing.assert_allclose(landmarks_of(body, state), 1.07 * landmarks_of(FLESH.body, state))
-    for bad in ((0.0, 1.0), (1.0, -1.0), (np.nan, 1.0)):
+    thick = resize_body(FLESH.body, 1.07, of_kinds(left_knee=1.2))
+    is_shank = np.isin(
+        FLESH.body.cones.joint, [FLESH.body.joints.index(f"{s}_knee") for s in ("left", "right")]
+    )
+    np.testing.assert_allclose(thick.cones.radii[is_shank], 1.2 * FLESH.body.cones.radii[is_shank])
+    np.testing.assert_array_equal(thick.cones.radii[~is_shank], FLESH.body.cones.radii[~is_shank])
+    np.testing.assert_array_equal(thick.cones.start, body.cones.start)
+    for bad in ((0.0, 1.0), (1.0, -1.0), (np.nan, 1.0), (1.0, of_kinds(left_knee=0.0))):
         with pytest.raises(ValueError, match="positive factors"):
             resize_body(FLESH.body, *bad)
 
 
+def test_clothes_cover_all_but_head_hands_and_feet() -> None:
+    whole = scale_body(load_body_model("whole"), HEIGHT_M)
+    kinds, is_covered = segment_kinds(whole), covered_kinds(whole)
+    bare = {joint for joint, kind in zip(whole.joints, kinds, strict=True) if not is_covered[kind]}
+    ends = ("wrist", "ankle", "mtp")
+    assert bare == {"neck", *(f"{side}_{end}" for side in ("left", "right") for end in ends)}
+
+
 def problems(
-    factor: float, girth: float, change: Callable[[np.ndarray], None] | None = None
+    factor: float, girth: float | np.ndarray, change: Callable[[np.ndarray], None] | None = None
 ) -> tuple[list, list]:
     """Frames of a person `factor` longer and `girth` wider than the model, and poses that are a little off."""
     own = resize_body(FLESH.body, factor, girth)
@@ -104,6 +119,58 @@ def test_a_larger_person_is_found_larger_whatever_his_girth(factor: float, girth
     assert fit.girth == pytest.approx(girth, abs=GIRTH_SLACK)
     assert fit.n_frames == 4
     assert tools().resized(fit.factor).body.height_m == pytest.approx(fit.factor * HEIGHT_M)
+
+
+def of_kinds(**factors: float) -> np.ndarray:
+    """Factors of the radii of each kind of segment, (G,); 1 of those that are not named, by a joint of theirs."""
+    out = np.ones(len(covered_kinds(FLESH.body)))
+    for joint, factor in factors.items():
+        out[segment_kinds(FLESH.body)[FLESH.body.joints.index(joint)]] = factor
+    return out
+
+
+STOUT = of_kinds(root=1.25, waist=1.2, left_hip=1.3, left_knee=1.3)
+
+
+def test_who_is_stout_has_girths_of_his_own() -> None:
+    """And he is not taller for it.  Arms, a voxel thin here, are drawn to the common girth; the head is not."""
+    fit = fit_size(*problems(1.0, STOUT))
+    assert fit.factor == pytest.approx(1.0, abs=SLACK)
+    wide, arms = STOUT > 1.0, of_kinds(left_shoulder=2.0, left_elbow=2.0) > 1.0
+    np.testing.assert_allclose(fit.radii[wide], STOUT[wide], atol=0.03)
+    np.testing.assert_allclose(fit.radii[~(wide | arms)], 1.0, atol=0.03)
+    assert fit.radii[arms].max() < fit.radii[wide].min() - 0.03
+
+
+def test_of_a_stated_height_girths_alone_are_fitted() -> None:
+    frames, states = problems(1.0, STOUT)
+    fit = fit_size(frames, states, is_given=True)
+    assert fit.factor == 1.0
+    assert fit.radii[STOUT > 1.0].min() > 1.1
+
+
+@pytest.mark.parametrize(("n_cameras", "has_own"), [(1, False), (2, False), (3, True)])
+def test_two_cameras_tell_nothing_of_girths(
+    n_cameras: int, has_own: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(VolumeEvidence, "n_cameras", n_cameras)
+    fit = fit_size(*problems(1.0, STOUT))
+    assert bool(np.ptp(fit.radii) > 0.1) is has_own
+
+
+def test_a_usual_girth_stays_as_it_is() -> None:
+    """Radii grow with the lengths; a stated height leaves the body as it is, to the byte."""
+    frames, states = problems(1.03, 1.03)
+    fit = fit_size(frames, states)
+    np.testing.assert_array_equal(fit.radii, np.full(len(fit.radii), fit.factor))
+    state = neutral_state(FLESH.body)
+    state[2] += 0.05
+    clip = quick_clip(state, rasterise(FLESH.body, FLESH.grid, state, margin_m=VOXEL_M))
+    given = HeightEstimate(HEIGHT_M, is_measured=True, is_given=True)
+    start = person.start_person(clip, given, seed=0, is_size_fitted=True)
+    assert start.height == given
+    for key, value in lengths_of(FLESH.body).items():
+        np.testing.assert_array_equal(lengths_of(start.tools.body)[key], value)
 
 
 @pytest.mark.slow

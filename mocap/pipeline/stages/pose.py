@@ -172,7 +172,7 @@ class PoseWork:
             own = tracks.of(person)
             hull_of = self.hull_of(person)
             height = (
-                HeightEstimate(given, True)
+                HeightEstimate(given, True, is_given=True)
                 if given is not None
                 else estimate_height(grid, hull_of, own.frame.tolist())
             )
@@ -184,7 +184,7 @@ class PoseWork:
                 VolumeClip(person, own.frame, own.xyz, observation),
                 height,
                 seed=self.job.seed,
-                is_size_fitted=given is None and config.body.sizing == "poses" and config.pose.refine,
+                is_size_fitted=config.body.sizing == "poses" and config.pose.refine,
                 progress=tick,
             )
 
