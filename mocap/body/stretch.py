@@ -12,8 +12,8 @@ from mocap.body.kinematics import cones_of, landmarks_of, neutral_state
 from mocap.body.model import Body, Cones
 from mocap.data.motion import LANDMARKS
 
-_NO_LENGTH_M = 1e-6
-_BARE = ("neck", "wrist", "ankle", "mtp")
+_NO_LENGTH_M = 1e-6  # a joint nearer to its parent is at its place
+_BARE = ("neck", "wrist", "ankle", "mtp")  # segments of head, hands and feet
 
 
 def segment_groups(body: Body) -> NDArray[np.int64]:

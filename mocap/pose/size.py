@@ -59,7 +59,6 @@ def fit_size(
     x = fit.downhill(x, girth, numbers.girth_step, usual, furthest=1)
     x = fit.downhill(x, length, numbers.step, usual)
     found = SizeFit(float(np.exp(x[0])), float(np.exp(x[1])), len(frames), np.exp(x[0] * alike))
-
     if not fit.tells_girths:
         return found
 

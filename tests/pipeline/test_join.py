@@ -40,7 +40,7 @@ SETTINGS = (
     "pose.look_again=false",
     f"pose.smooth_lag_frames={LAG}",
     "body.height_m=1.68",
-    BODY,
+    *BODY,
     # Feet are held on the floor by what the whole clip says of their contacts, and pieces are not the whole.
     "method.contact.hold=0",
 )
