@@ -18,7 +18,7 @@ _BARE = ("neck", "wrist", "ankle", "mtp")  # segments of head, hands and feet
 
 def segment_groups(body: Body) -> NDArray[np.int64]:
     """Group of every joint's segment, (J,): joints whose names differ by left_ and right_ only share one."""
-    names = [j.removeprefix("left_").removeprefix("right_") for j in body.joints]
+    names = [_of_either_side(j) for j in body.joints]
     order = list(dict.fromkeys(names))
     return np.array([order.index(n) for n in names], dtype=np.int64)
 
@@ -38,8 +38,12 @@ def covered_kinds(body: Body) -> NDArray[np.bool_]:
     kinds = segment_kinds(body)
     covered = np.zeros(int(kinds.max()) + 1, dtype=np.bool_)
     for joint, kind in zip(body.joints, kinds, strict=True):
-        covered[kind] |= joint.removeprefix("left_").removeprefix("right_") not in _BARE
+        covered[kind] |= _of_either_side(joint) not in _BARE
     return covered
+
+
+def _of_either_side(joint: str) -> str:
+    return joint.removeprefix("left_").removeprefix("right_")
 
 
 def stretch_body(body: Body, stretch: Array) -> Body:

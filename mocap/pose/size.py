@@ -16,8 +16,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SizeFit:
-    """factor : of all lengths.  girth : of the radii of what clothes cover.  n_frames : that were fitted.
+    """factor : of all lengths.  n_frames : that were fitted.
 
+    girth : one factor of all radii, no further than a step from the usual ones, with which the size was found.
     radii : (G,) factors of the radii of each kind of segment that are kept; as the lengths where the girth is usual.
     """
 
