@@ -52,7 +52,7 @@ def open_run(out: Path, session: Path) -> RunResult:
     _check_same(record, opened, out)
     opened = at_useful_size(opened, record.config, record.kind)
     store = StageStore(out / "store.zarr")
-    tracks = tracks_after(store, record.kind, opened, record.config.edits)
+    tracks = tracks_after(store, record.kind, opened, record.config.edits, has_poses=True)
     found = Found(opened, store, record.kind, tracks, tuple(stored_poses(store)), record.config.method)
     return RunResult(record, out, found)
 

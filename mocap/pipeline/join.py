@@ -45,7 +45,7 @@ from mocap.products import occluders as occluders_product
 from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
 from mocap.products import tracks as tracks_product
-from mocap.products.followed import read_followed, store_followed
+from mocap.products.followed import read_followed, store_followed, things_in
 from mocap.products.hulls import rig_offset_m, stored_grid
 from mocap.products.occluders import occluder_attrs, occluder_rows, stored_occluders
 from mocap.products.one_run import check_one_run
@@ -293,9 +293,9 @@ def _check_apart(pieces: Sequence[Piece], out: Path) -> None:
 
 
 def _with_persons(piece: Piece, job: Job) -> Piece:
-    """The piece with its persons as the filter has followed them."""
-    reader = piece.reader(followed_product.PRODUCT)
-    persons = sorted(int(name) for name in reader.attrs["persons"])
+    """The piece with its persons as the filter has followed them, without things."""
+    reader, things = piece.reader(followed_product.PRODUCT), things_in(piece.store)
+    persons = sorted(p for p in map(int, reader.attrs["persons"]) if p not in things)
     model = load_body_model(job.config.body_model("voxels"))
     return replace(piece, followed=read_followed(reader, persons, model, PoseWork(job).tools_of))
 
@@ -395,6 +395,7 @@ def _renamed(product: str, arrays: Arrays, names: Mapping[int, int]) -> Arrays:
     if product != tracks_product.PRODUCT:
         return renamed
     order = np.argsort(new, kind="stable")
+    order = order[new[order] > 0]
     return {name: array[order] for name, array in renamed.items()}
 
 
@@ -451,7 +452,7 @@ def _steps(
 
 
 def _seams_step(pieces: Sequence[Piece], seams: Sequence[Seam], key: str) -> tuple[StageRecord, StageReport]:
-    """What is to be said of the seams."""
+    """What is to be said of the seams, and of what the pieces have left out."""
     numbers = {
         "pieces": [[piece.frames.start, piece.frames.stop] for piece in pieces],
         "seams": [
@@ -463,8 +464,9 @@ def _seams_step(pieces: Sequence[Piece], seams: Sequence[Seam], key: str) -> tup
             for seam in seams
         ],
     }
-    warnings = tuple(words for seam in seams for words in _seam_words(seam))
-    return StageRecord(JOIN, key, None, numbers), StageReport(warnings, numbers)
+    warnings = [words for seam in seams for words in _seam_words(seam)]
+    warnings += [words for piece in pieces for words in things_in(piece.store).values()]
+    return StageRecord(JOIN, key, None, numbers), StageReport(tuple(warnings), numbers)
 
 
 def _seam_words(seam: Seam) -> Iterator[str]:

@@ -167,14 +167,15 @@ def _steps(
 def found_in(job: Job, kind: str, until: str) -> Found:
     """Tracks and poses out of the store, as far as the run went."""
     products = {product for stage in stages_until(kind, until) for product in stage.products}
+    has_poses = poses_product.PRODUCT in products
     return Found(
         session=job.session,
         store=job.store,
         kind=kind,
-        tracks=tracks_after(job.store, kind, job.session, job.config.edits)
+        tracks=tracks_after(job.store, kind, job.session, job.config.edits, has_poses=has_poses)
         if tracks_product.PRODUCT in products
         else None,
-        poses=tuple(stored_poses(job.store)) if poses_product.PRODUCT in products else (),
+        poses=tuple(stored_poses(job.store)) if has_poses else (),
         method=job.config.method,
     )
 

@@ -440,6 +440,28 @@ class LoadSettings(_Strict):
 
 
 @dataclass(frozen=True)
+class ThingSettings(_Strict):
+    """When what was tracked as a person is a thing, and is left out (decision 120)."""
+
+    least_s: float = 1.0
+    """Who is there for less time is not asked."""
+    stays_m: float = 0.1
+    """A thing is no further from its place, in"""
+    stays_share: float = 0.9
+    """this share of the frames: who passes it moves the centre of its volume."""
+    misfit_nats: float = 30.0
+    """Half of the frames leave more unexplained by the body's parts: boxes have 33 to 57, people who keep still at most
+    25, and those sit (decision 120)."""
+    n_looks: int = 24
+    """Frames, spread over its track, whose colours are compared."""
+    seen_share: float = 0.6
+    """Share of them in which a voxel must be on the surface."""
+    colour_levels: float = 2.0
+    """Mean change of its colours, grey levels of 255: boxes have .5 to 1.5, people who stand or gesture 2.4 and more,
+    who sits like a statue .8 (decision 120)."""
+
+
+@dataclass(frozen=True)
 class SmoothSettings(_Strict):
     """The smoother over whole clips. Half the acceleration blurs a jog, twice leaves jitter."""
 
@@ -795,6 +817,7 @@ class Method(_Strict):
     doubt: DoubtSettings = DoubtSettings()
     size: SizeSettings = SizeSettings()
     load: LoadSettings = LoadSettings()
+    thing: ThingSettings = ThingSettings()
     smooth: SmoothSettings = SmoothSettings()
     contact: ContactSettings = ContactSettings()
     deviation: DeviationSettings = field(default_factory=DeviationSettings)

@@ -52,6 +52,7 @@ class FollowedPerson:
     poses explained the volumes almost equally well.  n_usable : frames in which enough was seen to judge a pose.
     start_frame and first_pose as in `PersonPoses`.  information : (T, D, D), inverse covariance of every frame's state,
     0 where nothing was seen; None where smoothing does not ask for it.  warnings : what following has found out.
+    thing : what is said of it where it was tracked as a person and is none; empty for persons.
     """
 
     person: int
@@ -65,6 +66,7 @@ class FollowedPerson:
     first_pose: str
     information: Array | None = None
     warnings: tuple[str, ...] = ()
+    thing: str = ""
 
     @property
     def body(self) -> Body:

@@ -23,6 +23,7 @@ from mocap.io.store import StageReader, StageStore
 from mocap.pose.deviation import FrameSeries
 from mocap.pose.evidence import PersonTools
 from mocap.pose.result import FollowedPerson
+from mocap.products import poses as poses_product
 from mocap.products.poses import columns_of, persons_rows
 
 PRODUCT = "pose-frames"
@@ -45,6 +46,13 @@ def store_followed(
             out.append(frame, person=np.array([r.person for r, _ in present], dtype=np.int64), **columns)
 
 
+def things_in(store: StageStore) -> dict[int, str]:
+    """Whom the stored poses leave out, as they are things: number -> what is said of each."""
+    about = store.reader(PRODUCT).attrs["persons"]
+    shown = store.reader(poses_product.PRODUCT).attrs["persons"]
+    return {int(p): own["thing"] for p, own in about.items() if own["thing"] and p not in shown}
+
+
 def _about(followed: FollowedPerson, key: str) -> dict[str, Any]:
     offsets = followed.tools.marker_offsets
     return {
@@ -58,6 +66,7 @@ def _about(followed: FollowedPerson, key: str) -> dict[str, Any]:
         "start_frame": followed.start_frame,
         "first_pose": followed.first_pose,
         "warnings": list(followed.warnings),
+        "thing": followed.thing,
         "has_information": followed.information is not None,
         "marker_offset_m": None if offsets is None else offsets.tolist(),
     }
@@ -125,4 +134,5 @@ def _person(
         first_pose=about["first_pose"],
         information=information,
         warnings=tuple(about["warnings"]),
+        thing=about["thing"],
     )

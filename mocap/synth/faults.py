@@ -117,10 +117,11 @@ class Exposure(_CameraFault):
 
 
 class NewObstacle(Section):
-    """A box that was not in the empty room stands there from session frame `frame` on."""
+    """A box that was not in the empty room stands there from session frame `frame` on, or for `n_frames`."""
 
     kind: Literal["obstacle"]
     frame: int = Field(ge=0)
+    n_frames: int | None = Field(None, ge=1)
     lower_m: Vector
     upper_m: Vector
 

@@ -24,6 +24,7 @@ from mocap.pipeline.finished import check_edits, open_run, run_again
 from mocap.pipeline.join import join_runs, piece_frames
 from mocap.pipeline.record import RunResult
 from mocap.pipeline.run import run_session
+from mocap.pipeline.stages import pose as pose_stage
 from mocap.pose.join import mean_body
 from mocap.pose.method import Method
 from mocap.pose.smooth import carried_over
@@ -128,6 +129,28 @@ def test_persons_have_one_name_in_all_products(base: Path) -> None:
             root = p.landmarks[p.frames == frame][0].mean(axis=0)
             assert np.linalg.norm((own.mean(axis=0) - place)[:2]) < 0.2
             assert np.linalg.norm((root - place)[:2]) < 0.3
+
+
+def test_things_of_the_pieces_are_in_none_of_the_whole(
+    base: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copies = [Path(shutil.copytree(piece, tmp_path / piece.name)) for piece in pieces(base)]
+    monkeypatch.setattr(pose_stage, "keeps_its_colours", lambda *_: True)
+    # The same person: the later piece calls them the other way round.
+    for number, copy, frames in zip((1, 2), copies, (EARLY, LATE), strict=True):
+        monkeypatch.setattr(pose_stage, "is_like_nobody", lambda one, *_, n=number: one.person == n)
+        for product in (copy / "store.zarr").glob("pose*"):
+            shutil.rmtree(product)
+        run_session(
+            walkers(base), copy, config=CONFIG, frames=(frames.start, frames.stop), until="pose", resume=True
+        )
+    joined = join_runs(walkers(base), copies, tmp_path / "out")
+    assert joined.tracks is not None
+    assert joined.tracks.persons == (2,)
+    assert [p.person for p in joined.poses] == [2]
+    told = [words for words in joined.record.warnings if "is left out" in words]
+    for number, words in zip((1, 2), told, strict=True):
+        assert f"was tracked as person {number} and" in words
 
 
 def test_the_folder_is_that_of_one_run(base: Path) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from mocap.data import Tracks
 from mocap.io.session import Session
 from mocap.io.store import StageStore
@@ -12,6 +14,7 @@ from mocap.pipeline.config import Config
 from mocap.pipeline.edits.meaning import edited_tracks, placed
 from mocap.pipeline.edits.model import EDITS_FILE, Edits, edits_in
 from mocap.pipeline.stages.markers import wearer_tracks
+from mocap.products.followed import things_in
 from mocap.products.keypoints import stored_figure_tracks
 from mocap.products.tracks import stored_tracks
 
@@ -33,11 +36,15 @@ def tracks_before(store: StageStore, kind: str, frames: range, fps: float) -> Tr
     return stored_figure_tracks(store, fps) if kind == "keypoints" else stored_tracks(store, fps)
 
 
-def tracks_after(store: StageStore, kind: str, session: Session, edits: Edits) -> Tracks:
-    """The tracks of a run, called as the edits say; chains without volumes store them so."""
-    if kind in WITH_VOLUMES:
-        return edited_tracks(store, session, edits)
-    return stored_tracks(store, session.fps)
+def tracks_after(store: StageStore, kind: str, session: Session, edits: Edits, *, has_poses: bool) -> Tracks:
+    """The tracks of a run, called as the edits say; chains without volumes store them so.
+
+    has_poses : of things that were tracked poses have told, and their tracks are left out.
+    """
+    if kind not in WITH_VOLUMES:
+        return stored_tracks(store, session.fps)
+    tracks = edited_tracks(store, session, edits)
+    return tracks.rows(~np.isin(tracks.person, list(things_in(store)))) if has_poses else tracks
 
 
 def hand_words(edits: Edits) -> str:

@@ -52,6 +52,7 @@ def solve_persons(
     """Follow every person, work in the edits, and put the frames and the poses into the store.
 
     A person whom an earlier run has left in the store, and whom no edit of tracks concerns, is not followed again.
+    Things have no poses, unless somebody has put one of them right by hand.
     found : the tracks before edits.  kind : of body, as in `Config.body_model`.  work_of : what edits of tracks rename
     -> the work.  others : what of other persons decides how one is followed.
     """
@@ -70,6 +71,8 @@ def solve_persons(
     results = []
     for one in every:
         own = orders.get(one.person)
+        if one.thing and own is None:
+            continue
         if own is not None:
             limit_m = job.config.method.edits.reach_m
             check_reach(edits, one.person, one.body, one.frames, one.series.states, limit_m)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.arrays import Image, Mask
+from mocap.arrays import Image, Mask, frames_in_words
 from mocap.body import Body
 from mocap.body.initial import HeightEstimate
 from mocap.body.model import load_body_model
@@ -42,6 +42,7 @@ from mocap.pose.moves import move_numbers, moves_of
 from mocap.pose.person import VolumeClip, finish_person, follow_frames
 from mocap.pose.result import FollowedPerson, PersonPoses, motion_numbers
 from mocap.pose.steps import gait_numbers, gait_of, warnings_of_gait
+from mocap.pose.thing import Look, is_like_nobody, keeps_its_colours
 from mocap.pose.volume import (
     HullOf,
     PersonHull,
@@ -55,6 +56,7 @@ from mocap.products import hulls as hulls_product
 from mocap.products import masks as masks_product
 from mocap.products import owners as owners_product
 from mocap.products import poses as poses_product
+from mocap.products.followed import things_in
 from mocap.products.hulls import measured_from_arrays, pixels_from_arrays, rig_offset_m, stored_grid
 from mocap.products.masks import masks_from_arrays
 from mocap.products.occluders import stored_occluders
@@ -180,15 +182,44 @@ class PoseWork:
             observation = self.observation_of(tools, hull_of, person)
             if session.image_sources:
                 observation = replace(observation, pictures_of=partial(pictures_of, session))
-            return follow_frames(
+            followed = follow_frames(
                 VolumeClip(person, own.frame, own.xyz, observation),
                 height,
                 seed=self.job.seed,
                 is_size_fitted=config.body.sizing == "poses" and config.pose.refine,
                 progress=tick,
             )
+            return self._told(followed, own)
 
         return in_parallel(followed_of, tracks.persons, n_at_once)
+
+    def _told(self, followed: FollowedPerson, track: Tracks) -> FollowedPerson:
+        """The same, with what is said of a thing where it is one."""
+        numbers = self.job.config.method.thing
+        if not is_like_nobody(followed, track.xyz, numbers):
+            return followed
+        rows = np.unique(np.linspace(0, len(track) - 1, numbers.n_looks).astype(int))
+        looks = [self._surface(followed.person, frame) for frame in track.frame[rows].tolist()]
+        if not keeps_its_colours(looks, numbers):
+            return followed
+        x, y = np.median(track.xyz[:, :2], axis=0)
+        words = (
+            f"what stands at ({x:.2f}, {y:.2f}) m in frames {frames_in_words(track.frame)} was tracked as person "
+            f"{followed.person} and is left out: it keeps still and no pose explains it, as of a thing that the empty "
+            "scene does not have. Remedy: take it away, or record an empty clip with it; if it is somebody, "
+            "--set method.thing.stays_m=0"
+        )
+        return replace(followed, thing=words)
+
+    def _surface(self, person: int, frame: int) -> Look:
+        """The coloured surface of a person in a frame."""
+        hulls = self.job.store.reader(hulls_product.PRODUCT)
+        arrays = hulls.read(frame, ["voxels", "is_surface", "n_views", "rgb"])
+        owner = renamed(
+            owners_at(self.job.store.reader(owners_product.PRODUCT), frame), frame, self.renamings
+        )
+        is_seen = (owner == person) & arrays["is_surface"].astype(np.bool_) & (arrays["n_views"] > 0)
+        return arrays["voxels"][is_seen].astype(np.int32), arrays["rgb"][is_seen]
 
     def finished(self, one: FollowedPerson) -> PersonPoses:
         """The poses of a followed person, as uncertain as the cameras' agreement leaves them."""
@@ -355,6 +386,7 @@ def poses_report(job: Job) -> StageReport:
         for p in poses
     }
     warnings = [w for p in poses for w in (*p.warnings, *warnings_of_gait(p, gaits[p.person], fps, settings))]
+    warnings += things_in(job.store).values()
     return StageReport(tuple(warnings), {"persons": persons})
 
 
