@@ -392,15 +392,18 @@ def _doubted(evidence: SilhouetteEvidence, unexplained: Array) -> list[CameraFau
     usual = max(_USUAL_SHARE, _USUAL_FACTOR * _median(np.min(unexplained, axis=2, initial=np.inf)))
     doubted = []
     for c in range(n_cameras):
-        for stretch in _odd_stretches(unexplained[:, c], usual):
-            fault = _diagnose(evidence, unexplained[:, c], c, *stretch, usual)
-            is_excused = ("moved", "misfit") if evidence.is_furnished else ("moved",)
-            if fault.kind in is_excused and _background_stands(evidence, c, *stretch[:2]):
-                # Its mask holds what the hull of the others lacks: somebody whom too few of them see.
+        for first, stop, states in _odd_stretches(unexplained[:, c], usual):
+            fault = _diagnose(evidence, unexplained[:, c], c, first, stop, states, usual)
+            is_passing = evidence.is_furnished or 2 * (stop - first) <= n_frames
+            is_excused = fault.kind == "moved" or (fault.kind == "misfit" and is_passing)
+            if is_excused and _background_stands(evidence, c, first, stop):
+                # Its mask holds what the hull of the others lacks: somebody whom too few of them see. What it holds
+                # too much takes nothing from the volume; without it, of few cameras, a person loses his shape.
                 continue
             # Who comes in is seen by one camera first, and by the hull a few frames later; who leaves, by one last.
             # No lag.
-            n_known = np.count_nonzero(np.isfinite(unexplained[slice(*stretch[:2]), c, MAX_LAG_FRAMES]))
+            told = (evidence.frames >= fault.first_frame) & (evidence.frames <= fault.last_frame)
+            n_known = np.count_nonzero(np.isfinite(unexplained[told, c, MAX_LAG_FRAMES]))
             lasts = n_known >= min(_LASTING_FRAMES, n_frames // 2)
             if lasts or fault.kind not in ("lag", "misfit"):
                 doubted.append(fault)
