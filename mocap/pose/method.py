@@ -459,6 +459,15 @@ class ThingSettings(_Strict):
     colour_levels: float = 2.0
     """Mean change of its colours, grey levels of 255: boxes have .5 to 1.5, people who stand or gesture 2.4 and more,
     who sits like a statue .8 (decision 120)."""
+    head_depths_m: tuple[float, ...] = (0.12, 0.18)
+    """So far below the highest place the middle of a head is, and its lower half."""
+    head_slab_m: float = 0.06
+    """Height of the slab that is measured there."""
+    head_m2: float = 0.05
+    """Section of the volume from which that is no head: people have .02 to .04, boxes under a roof of what no camera
+    sees .07 to .29 (decision 120)."""
+    head_top_m: float = 1.0
+    """No head is lower: of who sits on a chair it is at 1.2 m. Boxes of .9 m may have a roof as narrow as a head."""
 
 
 @dataclass(frozen=True)

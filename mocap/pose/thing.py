@@ -1,12 +1,13 @@
 """Things that were tracked as persons: a box or a chair where the empty scene had nothing.
 
-A volume does not say what it is of, and people keep still as well. But nobody keeps as still as a thing, and no pose of
-a body explains one.
+A volume does not say what it is of, and people keep still as well. But nobody keeps as still as a thing, no pose of a
+body explains one, and a thing has no head.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,19 @@ from mocap.pose.method import ThingSettings
 from mocap.pose.result import FollowedPerson
 
 Array = NDArray[np.float64]
-# Rows of the voxels on a hull's surface (N,), and their colours (N, 3), grey levels.
-Look = tuple[NDArray[np.int32], NDArray[np.uint8]]
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What was tracked as a person, in one frame.
+
+    centers : (N, 3) m, of its voxels.  surface : (M,) numbers of those of them that are on its surface and have
+    colours.  rgb : (M, 3) grey levels, theirs.
+    """
+
+    centers: Array
+    surface: NDArray[np.int32]
+    rgb: NDArray[np.uint8]
 
 
 def is_like_nobody(followed: FollowedPerson, xyz: Array, numbers: ThingSettings) -> bool:
@@ -42,10 +54,10 @@ def colour_change(looks: Sequence[Look], seen_share: float) -> float | None:
     n = len(looks)
     if n == 0:
         return None
-    voxels, at = np.unique(np.concatenate([v for v, _ in looks]), return_inverse=True)
+    voxels, at = np.unique(np.concatenate([look.surface for look in looks]), return_inverse=True)
     colours = np.full((len(voxels), n, 3), np.nan, dtype=np.float32)
-    look = np.repeat(np.arange(n), [len(v) for v, _ in looks])
-    colours[at.reshape(-1), look] = np.concatenate([rgb for _, rgb in looks])
+    when = np.repeat(np.arange(n), [len(look.surface) for look in looks])
+    colours[at.reshape(-1), when] = np.concatenate([look.rgb for look in looks])
     lasting = colours[np.isfinite(colours[:, :, 0]).sum(axis=1) >= max(2.0, seen_share * n)]
     if not len(lasting):
         return None
@@ -53,7 +65,22 @@ def colour_change(looks: Sequence[Look], seen_share: float) -> float | None:
     return float(np.nanmedian(off, axis=1).mean())
 
 
-def keeps_its_colours(looks: Sequence[Look], numbers: ThingSettings) -> bool:
-    """Whether all of a surface keeps its colours, as a thing does and nobody who breathes and looks about."""
+def has_head(centers: Array, voxel_size_m: float, numbers: ThingSettings) -> bool:
+    """Whether the top of a volume is as narrow as a head, and as high as that of somebody who sits.
+
+    centers : (N, 3) m, of its voxels.
+    """
+    if not len(centers):
+        return False
+    z = centers[:, 2]
+    top_m = z.max() + voxel_size_m / 2
+    under = (np.abs(z - (top_m - depth_m)) < numbers.head_slab_m / 2 for depth_m in numbers.head_depths_m)
+    section_m2 = max(int(slab.sum()) for slab in under) * voxel_size_m**3 / numbers.head_slab_m
+    return bool(top_m > numbers.head_top_m and section_m2 < numbers.head_m2)
+
+
+def is_thing(looks: Sequence[Look], voxel_size_m: float, numbers: ThingSettings) -> bool:
+    """Whether what keeps still has no head, and keeps its colours as nobody does who breathes and looks about."""
+    n_heads = sum(has_head(look.centers, voxel_size_m, numbers) for look in looks)
     change = colour_change(looks, numbers.seen_share)
-    return change is not None and change < numbers.colour_levels
+    return 2 * n_heads < len(looks) and change is not None and change < numbers.colour_levels

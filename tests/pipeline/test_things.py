@@ -20,7 +20,7 @@ from mocap.pipeline.record import RunResult
 from mocap.pipeline.run import run_session
 from mocap.pipeline.stages import pose as pose_stage
 from mocap.pose.method import ThingSettings
-from mocap.pose.thing import Look, keeps_its_colours
+from mocap.pose.thing import Look, is_thing
 from mocap.products.hulls import read_hulls
 
 
@@ -36,9 +36,9 @@ def out(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def thing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Person 2 is like nobody and keeps his colours."""
+    """Person 2 is like nobody, keeps his colours and has no head."""
     monkeypatch.setattr(pose_stage, "is_like_nobody", lambda followed, *_: followed.person == 2)
-    monkeypatch.setattr(pose_stage, "keeps_its_colours", lambda *_: True)
+    monkeypatch.setattr(pose_stage, "is_thing", lambda *_: True)
 
 
 def anew(session: Path, out: Path) -> RunResult:
@@ -89,19 +89,21 @@ def test_who_walks_does_not_keep_his_colours(
 ) -> None:
     asked: list[Look] = []
 
-    def keeps(looks: Sequence[Look], numbers: ThingSettings) -> bool:
+    def judged(looks: Sequence[Look], voxel_size_m: float, numbers: ThingSettings) -> bool:
         asked.extend(looks)
-        return keeps_its_colours(looks, numbers)
+        return is_thing(looks, voxel_size_m, numbers)
 
     monkeypatch.setattr(pose_stage, "is_like_nobody", lambda *_: True)
-    monkeypatch.setattr(pose_stage, "keeps_its_colours", keeps)
+    monkeypatch.setattr(pose_stage, "is_thing", judged)
     config = load_config("default", (*PLAIN, "output.formats=[]", "pose.look_again=false", *BODY))
     session = small_session(tmp_path_factory.getbasetemp())
     result = run_session(session, tmp_path / "out", config=config, frames=(0, 6), until="pose")
     assert [poses.person for poses in result.poses] == [1]
     assert len(asked) == 6
-    for (frame, hull), (voxels, rgb) in zip(read_hulls(result.found.store), asked, strict=True):
-        row = np.isin(hull.voxels, voxels)
-        assert row.sum() == len(voxels) > 100, frame
+    for (frame, hull), look in zip(read_hulls(result.found.store), asked, strict=True):
+        row = np.isin(hull.voxels, look.surface)
+        assert row.sum() == len(look.surface) > 100, frame
         assert (hull.is_surface & (hull.n_views > 0))[row].all()
-        np.testing.assert_array_equal(hull.rgb[row], rgb)
+        np.testing.assert_array_equal(hull.rgb[row], look.rgb)
+        assert len(look.centers) > len(look.surface)
+        assert np.isin(look.surface, hull.grid.voxels_of(look.centers)).all()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mocap.pose.method import ThingSettings
-from mocap.pose.thing import colour_change, is_like_nobody, keeps_its_colours
+from mocap.pose.thing import Look, colour_change, has_head, is_like_nobody, is_thing
 
 NUMBERS = ThingSettings()
 FPS, T = 10.0, 40
@@ -66,11 +66,14 @@ def test_who_was_there_for_a_moment_is_not_asked() -> None:
     assert not is_like_nobody(followed(STRANGE), track(n=least - 1), NUMBERS)
 
 
-def surface(colour_of: Any, n_looks: int = 10, n_voxels: int = 50) -> list[Any]:
+NOTHING = np.zeros((0, 3))
+
+
+def surface(colour_of: Any, n_looks: int = 10, n_voxels: int = 50) -> list[Look]:
     """Looks at the same voxels: look -> grey level, of every voxel."""
     voxels = np.arange(n_voxels, dtype=np.int32)
     return [
-        (voxels, np.broadcast_to(np.asarray(colour_of(k), dtype=np.uint8), (n_voxels, 3)).copy())
+        Look(NOTHING, voxels, np.broadcast_to(np.asarray(colour_of(k), dtype=np.uint8), (n_voxels, 3)).copy())
         for k in range(n_looks)
     ]
 
@@ -89,28 +92,89 @@ def test_who_passes_before_a_thing_changes_few_of_its_looks() -> None:
 
 def test_half_a_surface_that_changes_is_half_the_change() -> None:
     still, moving = surface(lambda k: 100), surface(lambda k: 100 + 8 * (k % 2))
-    both = [(np.r_[a, b + 50], np.concatenate([c, d])) for (a, c), (b, d) in zip(still, moving, strict=True)]
+    both = [
+        Look(NOTHING, np.r_[a.surface, b.surface + 50], np.concatenate([a.rgb, b.rgb]))
+        for a, b in zip(still, moving, strict=True)
+    ]
     assert colour_change(both, 0.6) == pytest.approx(2.0)
 
 
 def test_voxels_that_come_and_go_say_nothing() -> None:
-    steady = surface(lambda k: 100)
     passing = [
-        (np.r_[voxels, [90]] if k < 5 else voxels, np.concatenate([rgb, [[40 * k] * 3]]) if k < 5 else rgb)
-        for k, (voxels, rgb) in enumerate(steady)
+        Look(NOTHING, np.r_[look.surface, [90]], np.concatenate([look.rgb, [[40 * k] * 3]]))
+        if k < 5
+        else look
+        for k, look in enumerate(surface(lambda k: 100))
     ]
     assert colour_change(passing, 0.6) == 0.0
     assert colour_change(passing, 0.5) == pytest.approx(40 / 51)  # 0, 40, 80, 120, 160: 40 off in the middle
 
 
-@pytest.mark.parametrize(("levels", "is_still"), [(2.1, True), (1.9, False)])
-def test_a_thing_keeps_its_colours(levels: float, is_still: bool) -> None:
-    looks = surface(lambda k: 100 + 4 * (k % 2))  # a change of 2
-    assert keeps_its_colours(looks, ThingSettings(colour_levels=levels)) == is_still
+VOXEL_M = 0.02
+
+
+def pile(*boxes: tuple[float, float, float]) -> np.ndarray:
+    """Voxels of square boxes: side, lower and upper end in m."""
+    parts = []
+    for side, lower, upper in boxes:
+        axis, up = (
+            np.arange(a + VOXEL_M / 2, b, VOXEL_M) for a, b in ((-side / 2, side / 2), (lower, upper))
+        )
+        parts.append(np.stack(np.meshgrid(axis, axis, up, indexing="ij"), axis=-1).reshape(-1, 3))
+    return np.concatenate(parts)
+
+
+SITTER = pile((0.6, 0.0, 0.5), (0.36, 0.5, 1.0), (0.18, 1.0, 1.24))
+BOX = pile((0.46, 0.0, 1.3))
+
+
+@pytest.mark.parametrize(
+    ("volume", "is_head"),
+    [
+        (SITTER, True),
+        (SITTER - [0, 0, 0.2], True),
+        (SITTER - [0, 0, 0.3], False),  # as low as a box
+        (BOX, False),
+        (pile((0.46, 0.0, 1.1), (0.18, 1.1, 1.2)), False),  # a roof that widens where a head does not
+        (pile((0.46, 0.0, 1.1), (0.18, 1.1, 1.26)), False),
+        (pile((0.46, 0.0, 1.1), (0.18, 1.1, 1.34)), True),
+        (NOTHING, False),
+    ],
+)
+def test_a_head_is_narrow_and_high(volume: np.ndarray, is_head: bool) -> None:
+    assert has_head(volume, VOXEL_M, NUMBERS) == is_head
+
+
+def test_sections_of_heads_are_measured_on_any_voxels() -> None:
+    side = np.sqrt(NUMBERS.head_m2)
+    for voxel_m in (0.02, 0.03):
+        for factor, is_head in ((0.9, True), (1.1, False)):
+            axis, up = np.arange(-0.2, 0.2, voxel_m), np.arange(0.8, 1.3, voxel_m)
+            grid = np.stack(np.meshgrid(axis, axis, up, indexing="ij"), axis=-1).reshape(-1, 3)
+            n_wanted = round(factor * side**2 / voxel_m**2)
+            columns = np.unique(grid[:, :2], axis=0)[:n_wanted]
+            kept = (grid[:, None, :2] == columns[None]).all(axis=2).any(axis=1)
+            assert has_head(grid[kept], voxel_m, NUMBERS) == is_head, (voxel_m, factor)
+
+
+def looks_of(volumes: list[np.ndarray], change: int = 0) -> list[Look]:
+    """Looks at volumes whose colours are as far from the usual one as told."""
+    coloured = surface(lambda k: 100 + 2 * change * (k % 2), len(volumes))
+    return [Look(volume, look.surface, look.rgb) for volume, look in zip(volumes, coloured, strict=True)]
+
+
+def test_a_thing_keeps_its_colours() -> None:
+    assert is_thing(looks_of([BOX] * 10, change=1), VOXEL_M, NUMBERS)
+    assert not is_thing(looks_of([BOX] * 10, change=3), VOXEL_M, NUMBERS)
+
+
+def test_a_thing_has_no_head_in_most_looks() -> None:
+    assert is_thing(looks_of([SITTER] * 4 + [BOX] * 6), VOXEL_M, NUMBERS)
+    assert not is_thing(looks_of([SITTER] * 6 + [BOX] * 4), VOXEL_M, NUMBERS)
 
 
 def test_without_colours_nothing_is_a_thing() -> None:
-    nothing = [(np.zeros(0, dtype=np.int32), np.zeros((0, 3), dtype=np.uint8))] * 5
+    nothing = [Look(BOX, np.zeros(0, dtype=np.int32), np.zeros((0, 3), dtype=np.uint8))] * 5
     assert colour_change(nothing, 0.6) is None
     assert colour_change([], 0.6) is None
-    assert not keeps_its_colours(nothing, NUMBERS)
+    assert not is_thing(nothing, VOXEL_M, NUMBERS)

@@ -42,7 +42,7 @@ from mocap.pose.moves import move_numbers, moves_of
 from mocap.pose.person import VolumeClip, finish_person, follow_frames
 from mocap.pose.result import FollowedPerson, PersonPoses, motion_numbers
 from mocap.pose.steps import gait_numbers, gait_of, warnings_of_gait
-from mocap.pose.thing import Look, is_like_nobody, keeps_its_colours
+from mocap.pose.thing import Look, is_like_nobody, is_thing
 from mocap.pose.volume import (
     HullOf,
     PersonHull,
@@ -199,27 +199,30 @@ class PoseWork:
         if not is_like_nobody(followed, track.xyz, numbers):
             return followed
         rows = np.unique(np.linspace(0, len(track) - 1, numbers.n_looks).astype(int))
-        looks = [self._surface(followed.person, frame) for frame in track.frame[rows].tolist()]
-        if not keeps_its_colours(looks, numbers):
+        looks = [self._look(followed.person, frame) for frame in track.frame[rows].tolist()]
+        if not is_thing(looks, stored_grid(self.job.store).voxel_size_m, numbers):
             return followed
         x, y = np.median(track.xyz[:, :2], axis=0)
         words = (
             f"what stands at ({x:.2f}, {y:.2f}) m in frames {frames_in_words(track.frame)} was tracked as person "
-            f"{followed.person} and is left out: it keeps still and no pose explains it, as of a thing that the empty "
-            "scene does not have. Remedy: take it away, or record an empty clip with it; if it is somebody, "
-            "--set method.thing.stays_m=0"
+            f"{followed.person} and is left out: it keeps still, has no head and no pose explains it, so that it "
+            "seems a thing that the empty scene does not have. Remedy: take it away, or record an empty clip with it; "
+            "if it is somebody, --set method.thing.stays_m=0"
         )
         return replace(followed, thing=words)
 
-    def _surface(self, person: int, frame: int) -> Look:
-        """The coloured surface of a person in a frame."""
+    def _look(self, person: int, frame: int) -> Look:
+        """The volume of a person in a frame, and its colours."""
         hulls = self.job.store.reader(hulls_product.PRODUCT)
         arrays = hulls.read(frame, ["voxels", "is_surface", "n_views", "rgb"])
         owner = renamed(
             owners_at(self.job.store.reader(owners_product.PRODUCT), frame), frame, self.renamings
         )
-        is_seen = (owner == person) & arrays["is_surface"].astype(np.bool_) & (arrays["n_views"] > 0)
-        return arrays["voxels"][is_seen].astype(np.int32), arrays["rgb"][is_seen]
+        is_own, voxels = owner == person, arrays["voxels"].astype(np.int32)
+        is_seen = is_own & arrays["is_surface"].astype(np.bool_) & (arrays["n_views"] > 0)
+        return Look(
+            stored_grid(self.job.store).centers(voxels[is_own]), voxels[is_seen], arrays["rgb"][is_seen]
+        )
 
     def finished(self, one: FollowedPerson) -> PersonPoses:
         """The poses of a followed person, as uncertain as the cameras' agreement leaves them."""
