@@ -1,6 +1,6 @@
 """Background model, segmentation with shadow test, mask clean-up, refinement, quality of masks."""
 
-from mocap.foreground.fit import Fit, fit_background, unfitted
+from mocap.foreground.fit import LEAST_PICTURES, Fit, fit_background, is_black, unfitted
 from mocap.foreground.model import (
     COVERED_WORTH_A_WORD,
     EMPTY_REDUCTION,
@@ -35,6 +35,7 @@ from mocap.foreground.segment import ForegroundMask, ForegroundSettings, Segment
 __all__ = [
     "COVERED_WORTH_A_WORD",
     "EMPTY_REDUCTION",
+    "LEAST_PICTURES",
     "Background",
     "Fit",
     "ForegroundMask",
@@ -53,6 +54,7 @@ __all__ = [
     "fit_background",
     "grey_outline",
     "held_things_in",
+    "is_black",
     "key_pictures",
     "learn_background",
     "mask_quality",

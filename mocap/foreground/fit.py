@@ -40,6 +40,8 @@ _APART_PX = 16.0  # of 640: regions nearer to each other belong together
 # command counts what is found of somebody in the clip.
 _MOSTLY = 0.6
 _RIM_PX = 5
+# Mean and standard deviation, levels, below which a picture shows nothing: the camera is off, as camera faults have it.
+_BLACK_LEVEL, _BLACK_CONTRAST = 16.0, 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,11 @@ def unfitted(background: Background) -> Fit:
     return Fit(
         background, (0.0, 0.0), np.zeros(background.mean.shape[:2], dtype=np.bool_), is_elsewhere=False
     )
+
+
+def is_black(picture: Image) -> bool:
+    """Whether a picture is of a camera that was off or covered."""
+    return bool(picture.mean() < _BLACK_LEVEL and picture.std() < _BLACK_CONTRAST)
 
 
 def fit_background(background: Background, pictures: Sequence[Image]) -> Fit:

@@ -8,7 +8,7 @@ from pathlib import Path
 from mocap.arrays import Image
 from mocap.data import Camera
 from mocap.errors import MocapError
-from mocap.foreground import Fit, fit_background, learn_background, unfitted
+from mocap.foreground import LEAST_PICTURES, Fit, fit_background, is_black, learn_background, unfitted
 from mocap.io.session import Session
 from mocap.io.session.reading import pictures_of
 from mocap.io.video import iter_camera
@@ -60,12 +60,13 @@ def frames_to_fit(n_frames: int, fps: float) -> slice:
 
 
 def fitted(clip: Path, camera: Camera, pictures: Sequence[Image]) -> Fit:
-    """The background of an empty clip, fitted to pictures of the recording if there are any.
+    """The background of an empty clip, fitted to the pictures of the recording that show something, if there are any.
 
     Raises MocapError for a clip that cannot be read.
     """
     background = learn_background(iter_camera(clip, camera))
-    return fit_background(background, pictures) if pictures else unfitted(background)
+    lit = [picture for picture in pictures if not is_black(picture)]
+    return fit_background(background, lit) if len(lit) >= LEAST_PICTURES else unfitted(background)
 
 
 def unlike_recording(fits: Mapping[str, Fit]) -> list[str]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
-from mocap.foreground import Background, Segmenter, fit_background, learn_background
+from mocap.data import Camera
+from mocap.foreground import Background, Fit, Segmenter, fit_background, is_black, learn_background
+from mocap.pipeline import empty_clips
 
 H, W = 240, 320
 SHIFT_PX = (2.3, -1.4)
@@ -222,3 +226,40 @@ def test_mistakes_are_named() -> None:
         fit_background(background, [seen(room(), rng)] * 2)
     with pytest.raises(ValueError, match=r"shape \(240, 320, 3\)"):
         fit_background(background, [seen(room(), rng)[1:]] * 3)
+
+
+@pytest.mark.parametrize(
+    ("level", "spread", "is_off"), [(8, 2, True), (8, 20, False), (120, 2, False), (120, 20, False)]
+)
+def test_a_picture_of_a_camera_that_is_off_is_dark_and_shows_nothing(
+    level: int, spread: int, is_off: bool
+) -> None:
+    picture = np.full((H, W, 3), level, dtype=np.float64)
+    picture[:, ::2] += spread
+    assert is_black(picture.astype(np.uint8)) == is_off
+
+
+@pytest.mark.parametrize(("n_lit", "n_held"), [(3, [3]), (2, [])])
+def test_pictures_of_a_camera_that_was_off_say_nothing_of_its_clip(
+    n_lit: int, n_held: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A camera that was black from the middle on had the recording's background, and masks of all the room."""
+    rng = np.random.default_rng(5)
+    clip = tmp_path / "background" / "cam_0"
+    clip.mkdir(parents=True)
+    for k in range(3):
+        cv2.imwrite(str(clip / f"{k:04d}.png"), seen(room(), rng))
+    camera = Camera("cam_0", (W, H), np.eye(3), np.zeros(4), np.eye(3), np.zeros(3))
+    pictures, _ = recording(room(), rng)
+    black = [rng.integers(0, 6, (H, W, 3)).astype(np.uint8) for _ in range(N_PICTURES - n_lit)]
+    held: list[int] = []
+
+    def fit(background: Background, pictures: list[np.ndarray]) -> Fit:
+        assert not any(map(is_black, pictures))
+        held.append(len(pictures))
+        return fit_background(background, pictures)
+
+    monkeypatch.setattr(empty_clips, "fit_background", fit)
+    found = empty_clips.fitted(clip, camera, [*pictures[:n_lit], *black])
+    assert held == n_held
+    assert not found.gone.any()
