@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from threading import Lock
@@ -199,8 +199,9 @@ class PoseWork:
         if not is_like_nobody(followed, track.xyz, numbers):
             return followed
         rows = np.unique(np.linspace(0, len(track) - 1, numbers.n_looks).astype(int))
-        looks = [self._look(followed.person, frame) for frame in track.frame[rows].tolist()]
-        if not is_thing(looks, stored_grid(self.job.store).voxel_size_m, numbers):
+        grid = stored_grid(self.job.store)
+        looks = list(self._looks(followed.person, track.frame[rows].tolist(), grid))
+        if not is_thing(looks, grid.voxel_size_m, numbers):
             return followed
         x, y = np.median(track.xyz[:, :2], axis=0)
         words = (
@@ -211,18 +212,15 @@ class PoseWork:
         )
         return replace(followed, thing=words)
 
-    def _look(self, person: int, frame: int) -> Look:
-        """The volume of a person in a frame, and its colours."""
-        hulls = self.job.store.reader(hulls_product.PRODUCT)
-        arrays = hulls.read(frame, ["voxels", "is_surface", "n_views", "rgb"])
-        owner = renamed(
-            owners_at(self.job.store.reader(owners_product.PRODUCT), frame), frame, self.renamings
-        )
-        is_own, voxels = owner == person, arrays["voxels"].astype(np.int32)
-        is_seen = is_own & arrays["is_surface"].astype(np.bool_) & (arrays["n_views"] > 0)
-        return Look(
-            stored_grid(self.job.store).centers(voxels[is_own]), voxels[is_seen], arrays["rgb"][is_seen]
-        )
+    def _looks(self, person: int, frames: Sequence[int], grid: VoxelGrid) -> Iterator[Look]:
+        """The volume of a person in some frames, and its colours."""
+        hulls, owners = (self.job.store.reader(p) for p in (hulls_product.PRODUCT, owners_product.PRODUCT))
+        for frame in frames:
+            arrays = hulls.read(frame, ["voxels", "is_surface", "n_views", "rgb"])
+            is_own = renamed(owners_at(owners, frame), frame, self.renamings) == person
+            is_seen = is_own & arrays["is_surface"].astype(np.bool_) & (arrays["n_views"] > 0)
+            voxels = arrays["voxels"].astype(np.int32)
+            yield Look(grid.centers(voxels[is_own]), voxels[is_seen], arrays["rgb"][is_seen])
 
     def finished(self, one: FollowedPerson) -> PersonPoses:
         """The poses of a followed person, as uncertain as the cameras' agreement leaves them."""
