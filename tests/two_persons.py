@@ -16,7 +16,8 @@ N_FRAMES = 10
 # Small pictures show neither feet nor how a spine bends: what is done by hand is tested on a body without. Nor do they
 # show girths, and pieces of a recording that fit them for themselves differ by what they fit.
 BODY = ("body.model=girdle", "method.size.own_girth=9")
-CONFIG = load_config("default", (*PLAIN, "output.formats=[]", "pose.look_again=false", *BODY))
+SETTINGS = (*PLAIN, "output.formats=[]", "pose.look_again=false", *BODY)
+CONFIG = load_config("default", SETTINGS)
 
 
 @cache

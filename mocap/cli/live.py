@@ -226,6 +226,7 @@ def _words(status: LiveStatus) -> str:
             f"person {p.person} " + ("looked at" if p.height_m is None else f"{p.height_m:.2f} m")
             for p in status.latest.persons
         ]
+        words += [f"left out at ({t.xyz[0]:.1f}, {t.xyz[1]:.1f}) m: a thing" for t in status.latest.things]
     failed = [name for name, n in status.n_failures.items() if n]
     if failed:
         words.append(f"failed at times: {', '.join(failed)}")

@@ -445,6 +445,8 @@ class ThingSettings(_Strict):
 
     least_s: float = 1.0
     """Who is there for less time is not asked."""
+    watched_s: float = 4.0
+    """Live, where nobody knows what comes: the last so many seconds are asked."""
     stays_m: float = 0.1
     """A thing is no further from its place, in"""
     stays_share: float = 0.9
@@ -453,7 +455,7 @@ class ThingSettings(_Strict):
     """Half of the frames leave more unexplained by the body's parts: boxes have 33 to 57, people who keep still at most
     25, and those sit (decision 120)."""
     n_looks: int = 24
-    """Frames, spread over its track, whose colours are compared."""
+    """Frames, spread over its track or over the seconds that are asked, whose colours are compared."""
     seen_share: float = 0.6
     """Share of them in which a voxel must be on the surface."""
     colour_levels: float = 2.0

@@ -6,14 +6,14 @@ body explains one, and a thing has no head.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap.pose.method import ThingSettings
-from mocap.pose.result import FollowedPerson
 
 Array = NDArray[np.float64]
 
@@ -31,14 +31,12 @@ class Look:
     rgb: NDArray[np.uint8]
 
 
-def is_like_nobody(followed: FollowedPerson, xyz: Array, numbers: ThingSettings) -> bool:
+def is_like_nobody(xyz: Array, misfit: Array, numbers: ThingSettings) -> bool:
     """Whether somebody who was followed stays in one place all the time, and has no pose that explains his volumes.
 
-    xyz : (T, 3) m, his track.
+    xyz : (T, 3) m, his track.  misfit : (F,) nats, of all parts together, in the frames in which he was seen.
     """
-    fps = followed.tools.fps
-    misfit = followed.series.misfit.sum(axis=1)[followed.series.blind_std == 0]
-    if len(xyz) < numbers.least_s * fps or not len(misfit):
+    if not len(misfit):
         return False
     away_m = np.linalg.norm(xyz[:, :2] - np.median(xyz[:, :2], axis=0), axis=1)
     stays = np.quantile(away_m, numbers.stays_share) < numbers.stays_m
@@ -84,3 +82,63 @@ def is_thing(looks: Sequence[Look], voxel_size_m: float, numbers: ThingSettings)
     n_heads = sum(has_head(look.centers, voxel_size_m, numbers) for look in looks)
     change = colour_change(looks, numbers.seen_share)
     return 2 * n_heads < len(looks) and change is not None and change < numbers.colour_levels
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """As in `ThingWatch.see`.  look : None between looks."""
+
+    time_s: float
+    xyz: Array
+    misfit: float | None
+    look: Look | None
+
+
+class ThingWatch:
+    """Somebody who is seen without end: a thing from when all of the last `watched_s` seconds say so.
+
+    Then no pose is looked for in it any more, and it stays a thing until it stands elsewhere for half of that time.
+    """
+
+    def __init__(self, voxel_size_m: float, numbers: ThingSettings) -> None:
+        self._voxel_size_m, self._numbers = voxel_size_m, numbers
+        self._moments: deque[_Moment] = deque()
+        self._looked_s = -np.inf
+        self._place: Array | None = None
+
+    @property
+    def is_thing(self) -> bool:
+        return self._place is not None
+
+    def see(self, time_s: float, xyz: Array, misfit: float | None, look: Callable[[], Look]) -> None:
+        """What is seen of it now.  xyz : (3,) m, its track.  misfit : nats, of all parts; None = there is no pose.
+
+        look : looks at it; asked now and then.
+        """
+        numbers, moments = self._numbers, self._moments
+        is_due = not self.is_thing and time_s - self._looked_s >= numbers.watched_s / numbers.n_looks
+        moments.append(_Moment(time_s, xyz, misfit, look() if is_due else None))
+        while time_s - moments[0].time_s > numbers.watched_s:
+            moments.popleft()
+        track = np.array([moment.xyz for moment in moments])
+        if self._place is not None:
+            if np.median(np.linalg.norm(track[:, :2] - self._place, axis=1)) > numbers.stays_m:
+                self._place = None
+                moments.clear()
+        elif is_due:
+            self._looked_s = time_s
+            if self._seems_thing(track):
+                self._place = np.median(track[:, :2], axis=0)
+
+    def _seems_thing(self, track: Array) -> bool:
+        numbers, moments = self._numbers, self._moments
+        looks = [moment.look for moment in moments if moment.look is not None]
+        misfit = np.array([moment.misfit for moment in moments if moment.misfit is not None])
+        is_long = moments[-1].time_s - moments[0].time_s > 0.9 * numbers.watched_s
+        is_known = 2 * len(looks) >= numbers.n_looks and 2 * len(misfit) >= len(moments)
+        return (
+            is_long
+            and is_known
+            and is_like_nobody(track, misfit, numbers)
+            and is_thing(looks, self._voxel_size_m, numbers)
+        )

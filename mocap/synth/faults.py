@@ -154,14 +154,15 @@ class Timeline:
     """What the pictures of one camera's file show, one row per frame of the file.
 
     shot : (F,) int, the camera's own count of the picture.  instant : (F,) session frame, fractional.
-    pose : (F,) int, 0 = as calibrated, k = after the k-th move.  state : (F,) int, index into `states` of the room.
+    pose : (F,) int, 0 = as calibrated, k = after the k-th move.  state : (F,) which of the room's changes hold, a bit
+    each.
     gain : (F,) linear factor on the light.  is_off : (F,) bool.  fps : rate that the file states.
     """
 
     shot: NDArray[np.int64]
     instant: NDArray[np.float64]
     pose: NDArray[np.int64]
-    state: NDArray[np.int64]
+    state: NDArray[np.object_]
     gain: NDArray[np.float64]
     is_off: NDArray[np.bool_]
     fps: float
@@ -202,11 +203,11 @@ def _n_pictures(mine: Sequence[Any], n_frames: int, step: float) -> int:
     return n - sum(f.n_frames for f in mine if f.kind == "dropped" and not f.refill)
 
 
-def _states(faults: Sequence[Any], instant: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Which of the room's changes hold at instants, as bit patterns."""
-    state = np.zeros(len(instant), dtype=np.int64)
+def _states(faults: Sequence[Any], instant: NDArray[np.float64]) -> NDArray[np.object_]:
+    """Which of the room's changes hold at instants, as bit patterns: ints of any length."""
+    state = np.zeros(len(instant), dtype=np.object_)
     for bit, fault in enumerate(room_faults(faults)):
-        state += (1 << bit) * _between(instant, fault)
+        state += (1 << bit) * _between(instant, fault).astype(np.object_)
     return state
 
 

@@ -135,10 +135,10 @@ def test_things_of_the_pieces_are_in_none_of_the_whole(
     base: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copies = [Path(shutil.copytree(piece, tmp_path / piece.name)) for piece in pieces(base)]
+    # Person 1, whom the later piece calls 2.
+    monkeypatch.setattr(pose_stage, "is_like_nobody", lambda xyz, *_: xyz[:, 0].mean() > 0)
     monkeypatch.setattr(pose_stage, "is_thing", lambda *_: True)
-    # The same person: the later piece calls them the other way round.
-    for number, copy, frames in zip((1, 2), copies, (EARLY, LATE), strict=True):
-        monkeypatch.setattr(pose_stage, "is_like_nobody", lambda one, *_, n=number: one.person == n)
+    for copy, frames in zip(copies, (EARLY, LATE), strict=True):
         for product in (copy / "store.zarr").glob("pose*"):
             shutil.rmtree(product)
         run_session(

@@ -64,6 +64,16 @@ def test_a_line_of_json_says_who_is_where() -> None:
     assert followed["deviation_m"][LANDMARKS[-1]] == 0.02
     assert looked_at == {"person": 3, "xyz_m": [1.0, 2.0, 0.9], "height_m": None}
     assert second["persons"] == []
+    assert first["things"] == []
+
+
+def test_things_are_told_apart_from_persons() -> None:
+    stream = io.StringIO()
+    box = PersonResult(4, np.array([0.1, 0.2, 0.6]), is_thing=True)
+    JsonLines(stream, is_closed=False).put(replace(RESULT, persons=(), things=(box,)))
+    line = json.loads(stream.getvalue())
+    assert line["persons"] == []
+    assert line["things"] == [{"person": 4, "xyz_m": [0.1, 0.2, 0.6]}]
 
 
 def test_what_is_not_known_is_null() -> None:

@@ -43,7 +43,7 @@ from mocap.pipeline.live.persons import Following, _Persons
 from mocap.pipeline.live.room import Recording
 from mocap.pipeline.live.run import LIVE_DEFAULTS, LIVE_SETTINGS, LiveOrder, LiveStatus, run_live
 from mocap.pipeline.run import run_session
-from mocap.pose import forward
+from mocap.pose import forward, thing
 from mocap.pose.forward import ForwardSettings, Sighting
 from mocap.pose.person import VolumeClip
 from mocap.pose.volume import PersonHull
@@ -167,6 +167,24 @@ def test_results_are_the_same_every_time(
             assert (p.person, p.height_m) == (q.person, q.height_m)
             if p.pose is not None and q.pose is not None:
                 np.testing.assert_array_equal(p.pose.state, q.pose.state)
+
+
+def test_a_thing_is_no_person_and_is_not_followed(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What keeps still and has no pose, as far as anybody asks here."""
+    monkeypatch.setattr(thing, "is_like_nobody", lambda *_: True)
+    monkeypatch.setattr(thing, "is_thing", lambda looks, *_: all(len(look.surface) > 20 for look in looks))
+    numbers = ("method.thing.watched_s=0.3", "method.thing.n_looks=4", "method.thing.stays_m=9")
+    config = load_config("live", (*SETTINGS, *THOROUGH, *numbers))
+    with engine(session, tmp_path, config) as live:
+        found = list(live.results(sets_of(session)))
+    first = next(k for k, r in enumerate(found) if r.things)
+    assert any(p.pose is not None for r in found[:first] for p in r.persons)
+    assert not any(r.persons for r in found[first:])
+    left_out = {(one.person, one.pose, one.height_m) for r in found[first:] for one in r.things}
+    assert left_out == {(1, None, None)}
+    assert len(found[first:]) > 1
 
 
 @pytest.mark.slow

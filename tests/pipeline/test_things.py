@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_session import PLAIN, small_session
-from two_persons import BODY, CONFIG, two_persons_run, two_persons_session
+from small_session import FPS, small_session
+from two_persons import N_FRAMES, SETTINGS, two_persons_run, two_persons_session
 
 from mocap.pipeline.config import load_config
 from mocap.pipeline.edits.model import with_edit
@@ -37,15 +37,16 @@ def out(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> Path:
 @pytest.fixture
 def thing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Person 2 is like nobody, keeps his colours and has no head."""
-    monkeypatch.setattr(pose_stage, "is_like_nobody", lambda followed, *_: followed.person == 2)
+    monkeypatch.setattr(pose_stage, "is_like_nobody", lambda xyz, *_: xyz[:, 0].mean() < 0)
     monkeypatch.setattr(pose_stage, "is_thing", lambda *_: True)
 
 
-def anew(session: Path, out: Path) -> RunResult:
+def anew(session: Path, out: Path, *settings: str) -> RunResult:
     """Poses once more, on what lies in the store."""
     for product in (out / "store.zarr").glob("pose*"):
         shutil.rmtree(product)
-    return run_session(session, out, config=CONFIG, resume=True)
+    config = load_config("default", (*SETTINGS, *settings))
+    return run_session(session, out, config=config, resume=True)
 
 
 def persons_of(path: Path) -> set[int]:
@@ -77,6 +78,14 @@ def test_whose_poses_are_put_right_by_hand_is_no_thing(session: Path, out: Path,
     assert not any("left out" in words for words in result.record.warnings)
 
 
+@pytest.mark.parametrize(("least_s", "n_left"), [(N_FRAMES / FPS, 1), ((N_FRAMES + 1) / FPS, 2)])
+def test_who_was_there_for_a_moment_is_not_asked(
+    session: Path, out: Path, thing: None, least_s: float, n_left: int
+) -> None:
+    result = anew(session, out, f"method.thing.least_s={least_s}")
+    assert len(result.poses) == n_left
+
+
 def test_nobody_is_left(session: Path, out: Path, thing: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pose_stage, "is_like_nobody", lambda *_: True)
     result = anew(session, out)
@@ -95,7 +104,7 @@ def test_who_walks_does_not_keep_his_colours(
 
     monkeypatch.setattr(pose_stage, "is_like_nobody", lambda *_: True)
     monkeypatch.setattr(pose_stage, "is_thing", judged)
-    config = load_config("default", (*PLAIN, "output.formats=[]", "pose.look_again=false", *BODY))
+    config = load_config("default", (*SETTINGS, "method.thing.least_s=0"))
     session = small_session(tmp_path_factory.getbasetemp())
     result = run_session(session, tmp_path / "out", config=config, frames=(0, 6), until="pose")
     assert [poses.person for poses in result.poses] == [1]

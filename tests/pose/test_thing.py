@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mocap.pose.method import ThingSettings
-from mocap.pose.thing import Look, colour_change, has_head, is_like_nobody, is_thing
+from mocap.pose.thing import Look, ThingWatch, colour_change, has_head, is_like_nobody, is_thing
 
 NUMBERS = ThingSettings()
-FPS, T = 10.0, 40
+FPS, T = 10.0, 60
 FAR = 2 * NUMBERS.stays_m
-
-
-def followed(misfit: float | np.ndarray, n_blind: int = 0) -> Any:
-    """T frames in which two parts share a misfit; nothing was seen in the last n_blind."""
-    of_part = np.repeat(np.broadcast_to(misfit, T)[:, None] / 2, 2, axis=1)
-    blind_std = np.where(np.arange(T) < T - n_blind, 0.0, 0.5)
-    return SimpleNamespace(
-        tools=SimpleNamespace(fps=FPS), series=SimpleNamespace(misfit=of_part, blind_std=blind_std)
-    )
 
 
 def track(n_away: int = 0, n: int = T) -> np.ndarray:
@@ -37,33 +27,24 @@ STRANGE, USUAL = NUMBERS.misfit_nats + 1, NUMBERS.misfit_nats - 1
 
 
 def test_what_stays_and_has_no_pose_is_like_nobody() -> None:
-    assert is_like_nobody(followed(STRANGE), track(), NUMBERS)
-    assert not is_like_nobody(followed(USUAL), track(), NUMBERS)
+    assert is_like_nobody(track(), np.full(T, STRANGE), NUMBERS)
+    assert not is_like_nobody(track(), np.full(T, USUAL), NUMBERS)
 
 
 def test_half_of_the_frames_decide() -> None:
     few, most = (np.where(np.arange(T) < n, STRANGE, USUAL) for n in (T // 2 - 1, T // 2 + 1))
-    assert not is_like_nobody(followed(few), track(), NUMBERS)
-    assert is_like_nobody(followed(most), track(), NUMBERS)
+    assert not is_like_nobody(track(), few, NUMBERS)
+    assert is_like_nobody(track(), most, NUMBERS)
 
 
-def test_frames_in_which_nothing_was_seen_say_nothing() -> None:
-    misfit = np.where(np.arange(T) < 10, STRANGE, 0.0)
-    assert is_like_nobody(followed(misfit, n_blind=T - 10), track(), NUMBERS)
-    assert not is_like_nobody(followed(misfit), track(), NUMBERS)
-    assert not is_like_nobody(followed(STRANGE, n_blind=T), track(), NUMBERS)
+def test_who_was_never_seen_is_not_asked() -> None:
+    assert not is_like_nobody(track(), np.zeros(0), NUMBERS)
 
 
 def test_who_passes_a_thing_may_move_its_centre_for_a_moment() -> None:
     n_passing = round((1 - NUMBERS.stays_share) * T) - 1
-    assert is_like_nobody(followed(STRANGE), track(n_passing), NUMBERS)
-    assert not is_like_nobody(followed(STRANGE), track(n_passing + 2), NUMBERS)
-
-
-def test_who_was_there_for_a_moment_is_not_asked() -> None:
-    least = round(NUMBERS.least_s * FPS)
-    assert is_like_nobody(followed(STRANGE), track(n=least), NUMBERS)
-    assert not is_like_nobody(followed(STRANGE), track(n=least - 1), NUMBERS)
+    assert is_like_nobody(track(n_passing), np.full(T, STRANGE), NUMBERS)
+    assert not is_like_nobody(track(n_passing + 2), np.full(T, STRANGE), NUMBERS)
 
 
 NOTHING = np.zeros((0, 3))
@@ -178,3 +159,75 @@ def test_without_colours_nothing_is_a_thing() -> None:
     assert colour_change(nothing, 0.6) is None
     assert colour_change([], 0.6) is None
     assert not is_thing(nothing, VOXEL_M, NUMBERS)
+
+
+def watched(
+    *,
+    seconds: float,
+    misfit: float | None = STRANGE,
+    volume: np.ndarray = BOX,
+    fps: float = FPS,
+    watch: ThingWatch | None = None,
+    from_s: float = 0.0,
+    x_m: float = 0.0,
+) -> ThingWatch:
+    """A watch that has seen something for so long in one place."""
+    watch = watch or ThingWatch(VOXEL_M, NUMBERS)
+    for k in range(round(seconds * fps) + 1):
+        watch.see(from_s + k / fps, np.array([x_m, 0.0, 0.5]), misfit, lambda: looks_of([volume])[0])
+    return watch
+
+
+def test_what_is_seen_without_end_is_a_thing_after_a_while() -> None:
+    assert watched(seconds=NUMBERS.watched_s).is_thing
+    assert not watched(seconds=0.8 * NUMBERS.watched_s).is_thing
+
+
+def test_who_has_a_pose_or_a_head_is_no_thing() -> None:
+    long_s = 3 * NUMBERS.watched_s
+    assert not watched(seconds=long_s, misfit=USUAL).is_thing
+    assert not watched(seconds=long_s, misfit=None).is_thing
+    assert not watched(seconds=long_s, volume=SITTER).is_thing
+
+
+def test_only_the_last_seconds_are_asked() -> None:
+    watch = watched(seconds=3 * NUMBERS.watched_s, misfit=USUAL)
+    at_s = 3 * NUMBERS.watched_s + 1 / FPS
+    watched(seconds=0.4 * NUMBERS.watched_s, watch=watch, from_s=at_s)
+    assert not watch.is_thing
+    at_s += 0.4 * NUMBERS.watched_s + 1 / FPS
+    watched(seconds=0.2 * NUMBERS.watched_s, watch=watch, from_s=at_s)
+    assert watch.is_thing
+
+
+def test_a_few_frames_a_second_do_and_two_moments_do_not() -> None:
+    assert watched(seconds=NUMBERS.watched_s, fps=4.0).is_thing
+    assert not watched(seconds=NUMBERS.watched_s, fps=1 / NUMBERS.watched_s).is_thing
+
+
+def test_it_is_looked_at_now_and_then_and_no_more_once_it_is_a_thing() -> None:
+    asked: list[float] = []
+    watch = ThingWatch(VOXEL_M, NUMBERS)
+    n = round(2 * NUMBERS.watched_s * 50)
+    for k in range(n):
+        watch.see(k / 50, np.zeros(3), STRANGE, lambda k=k: (asked.append(k / 50), looks_of([BOX])[0])[1])
+    assert watch.is_thing
+    assert np.diff(asked).min() >= NUMBERS.watched_s / NUMBERS.n_looks - 1e-9
+    assert max(asked) <= NUMBERS.watched_s
+
+
+def test_a_thing_that_is_taken_elsewhere_is_looked_at_anew() -> None:
+    watch = watched(seconds=NUMBERS.watched_s)
+    at_s = NUMBERS.watched_s + 1 / FPS
+    # Who passes moves its centre for a moment.
+    watched(seconds=0.4 * NUMBERS.watched_s, watch=watch, from_s=at_s, x_m=FAR, misfit=None)
+    assert watch.is_thing
+    at_s += 0.4 * NUMBERS.watched_s + 1 / FPS
+    watched(seconds=0.2 * NUMBERS.watched_s, watch=watch, from_s=at_s, x_m=FAR, misfit=None)
+    assert not watch.is_thing
+    at_s += 0.2 * NUMBERS.watched_s + 1 / FPS
+    watched(seconds=0.7 * NUMBERS.watched_s, watch=watch, from_s=at_s, x_m=FAR)
+    assert not watch.is_thing
+    at_s += 0.7 * NUMBERS.watched_s + 1 / FPS
+    watched(seconds=0.4 * NUMBERS.watched_s, watch=watch, from_s=at_s, x_m=FAR)
+    assert watch.is_thing

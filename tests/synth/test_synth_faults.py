@@ -119,6 +119,12 @@ def test_lag_offset_drift_and_rate_shift_the_instant() -> None:
     assert len(_timeline(10, {"kind": "rate", "fps": 20.0, "refill": True})) == 10
 
 
+def test_a_room_changes_as_often_as_it_likes() -> None:
+    n = 70
+    changes = [{"kind": "light", "frame": k, "n_frames": 1, "gain": 0.5, "lamp": 0} for k in range(n)]
+    assert _timeline(n, *changes).state.tolist() == [1 << k for k in range(n)]
+
+
 def test_light_acts_at_the_instant_that_a_picture_shows() -> None:
     time = _timeline(
         8, {"kind": "light", "frame": 3, "n_frames": 3, "gain": 0.5}, {"kind": "lag", "lag_frames": 2}

@@ -45,7 +45,8 @@ class FrameResult:
     """What was found in one set of pictures.
 
     time_s : that it shows, since the first set.  latency_s : from when the latest picture was taken over to the result.
-    n_cameras : that took part.  hull : of everybody.  pictures : one per camera, None of a camera that was silent.
+    n_cameras : that took part.  persons, things : who was tracked, and those among them that are no persons.  hull : of
+    everybody.  pictures : one per camera, None of a camera that was silent.
     """
 
     frame: int
@@ -53,6 +54,7 @@ class FrameResult:
     latency_s: float
     n_cameras: int
     persons: tuple[PersonResult, ...]
+    things: tuple[PersonResult, ...] = ()
     hull: Hull | None = None
     pictures: tuple[Image | None, ...] = ()
 
@@ -116,13 +118,14 @@ class Engine:
             if self._n_threads > 1:
                 tracked = stack.enter_context(Ahead(tracked, 1))
             for found in tracked:
-                persons = self._posed(found)
+                posed = self._posed(found)
                 yield FrameResult(
                     frame=found.seen.frame,
                     time_s=found.time_s,
                     latency_s=time.monotonic() - found.pictures.taken_s,
                     n_cameras=sum(shot is not None for shot in found.pictures.shots),
-                    persons=persons,
+                    persons=tuple(one for one in posed if not one.is_thing),
+                    things=tuple(one for one in posed if one.is_thing),
                     hull=found.seen.hull,
                     pictures=tuple(None if s is None else s.picture for s in found.pictures.shots),
                 )

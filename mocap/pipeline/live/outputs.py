@@ -43,6 +43,7 @@ def result_to_json(result: FrameResult) -> dict[str, Any]:
         "latency_ms": round(1000 * result.latency_s, 1),
         "n_cameras": result.n_cameras,
         "persons": [_person_to_json(person) for person in result.persons],
+        "things": [{"person": one.person, "xyz_m": _rounded(one.xyz)} for one in result.things],
     }
 
 

@@ -23,11 +23,12 @@ from mocap.pipeline.config import Config
 from mocap.pipeline.pose_settings import make_tools, stated_height_m
 from mocap.pipeline.stage import Arrays
 from mocap.pipeline.stages.carve import grid_of
-from mocap.pipeline.stages.pose import PersonViews
+from mocap.pipeline.stages.pose import PersonViews, look_at
 from mocap.pose.deviation import FrameSeries, landmark_covariances
 from mocap.pose.follow import FramePose
 from mocap.pose.forward import ForwardPerson, ForwardSettings, Sighting
 from mocap.pose.person import note
+from mocap.pose.thing import Look, ThingWatch
 from mocap.pose.volume import VolumeTools
 from mocap.threads import AtOnce
 from mocap.tracking.state import Track
@@ -44,6 +45,7 @@ class PersonResult:
 
     xyz : (3,) m, the track.  height_m : None while it is not known.  body : None while it is not known.  pose and
     deviation_m (M,), the standard deviation of a landmark along an axis: None while the first pose is looked for.
+    is_thing : nobody, but a thing that the empty room does not have.
     """
 
     person: int
@@ -52,6 +54,7 @@ class PersonResult:
     body: Body | None = None
     pose: FramePose | None = None
     deviation_m: Array | None = None
+    is_thing: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +98,14 @@ class Following:
             yield _Persons(self, searches).posed
 
 
+@dataclass(eq=False)
+class _Known:
+    """One who was seen: how he is followed, and whether he is a thing."""
+
+    follower: ForwardPerson
+    watch: ThingWatch
+
+
 class _Persons:
     """Everybody who was seen so far.  searches : looks for first poses."""
 
@@ -102,17 +113,30 @@ class _Persons:
         self._of, self._searches = following, searches
         self._grid = grid_of(following.session, following.config)
         self._views = PersonViews(following.session, self._grid, following.occluders)
-        self._persons: dict[int, ForwardPerson] = {}
+        self._persons: dict[int, _Known] = {}
 
     def posed(self, seen: SeenPersons) -> tuple[PersonResult, ...]:
         """The persons of a frame with their poses."""
         return tuple(self._person(track, seen) for track in seen.tracks)
 
     def _person(self, track: Track, seen: SeenPersons) -> PersonResult:
-        hull = self._views.hull(seen.hulls, seen.owner, track.serial + 1, lambda: seen.masks)
-        follower = self._follower(track.person)
+        one = self._known(track.person)
+        watch, owner = one.watch, track.serial + 1
+
+        def look() -> Look:
+            return look_at(seen.hulls, seen.owner == owner, self._grid)
+
+        if watch.is_thing:
+            watch.see(seen.time_s, track.xyz, None, look)
+            if watch.is_thing:
+                return PersonResult(track.person, track.xyz, is_thing=True)
+            one.follower = self._follower(track.person)
+        hull = self._views.hull(seen.hulls, seen.owner, owner, lambda: seen.masks)
+        follower = one.follower
         pose = follower.see(Sighting(seen.time_s, track.xyz, hull))
         tools = follower.tools
+        misfit = None if pose is None or pose.blind_std > 0 else float(pose.misfit.sum())
+        watch.see(seen.time_s, track.xyz, misfit, look)
         if pose is None or tools is None:
             body = None if tools is None else tools.body
             return PersonResult(track.person, track.xyz, follower.height_m, body)
@@ -122,25 +146,28 @@ class _Persons:
         deviation_m = np.sqrt(np.trace(covariance[0], axis1=1, axis2=2) / 3.0)
         return PersonResult(track.person, track.xyz, follower.height_m, tools.body, pose, deviation_m)
 
-    def _follower(self, person: int) -> ForwardPerson:
-        """Who follows a person; the last who was seen stands last."""
-        follower = self._persons.pop(person, None)
-        if follower is None:
-            session, config = self._of.session, self._of.config
-            model = load_body_model(config.body_model("voxels"))
-            follower = ForwardPerson(
-                person,
-                self._grid,
-                partial(_tools_of, self._grid, session.fps, config),
-                self._searches,
-                seed=self._of.seed,
-                settings=self._of.forward,
-                given_m=stated_height_m(config, model, session),
-            )
-        self._persons[person] = follower
+    def _known(self, person: int) -> _Known:
+        """What is known of a person; the last who was seen stands last."""
+        config = self._of.config
+        known = self._persons.pop(person, None) or _Known(
+            self._follower(person), ThingWatch(self._grid.voxel_size_m, config.method.thing)
+        )
+        self._persons[person] = known
         while len(self._persons) > MOST_PERSONS:
             del self._persons[next(iter(self._persons))]
-        return follower
+        return known
+
+    def _follower(self, person: int) -> ForwardPerson:
+        session, config = self._of.session, self._of.config
+        return ForwardPerson(
+            person,
+            self._grid,
+            partial(_tools_of, self._grid, session.fps, config),
+            self._searches,
+            seed=self._of.seed,
+            settings=self._of.forward,
+            given_m=stated_height_m(config, load_body_model(config.body_model("voxels")), session),
+        )
 
 
 def _tools_of(grid: VoxelGrid, fps: float, config: Config, height_m: float) -> VolumeTools:

@@ -102,6 +102,13 @@ def solve_poses(
     )
 
 
+def look_at(arrays: Mapping[str, NDArray[Any]], is_own: Mask, grid: VoxelGrid) -> Look:
+    """What is seen of those voxels of a hull that `is_own`, (N,).  arrays : its row of hulls, with colours."""
+    is_seen = is_own & arrays["is_surface"].astype(np.bool_) & (arrays["n_views"] > 0)
+    voxels = arrays["voxels"].astype(np.int32)
+    return Look(grid.centers(voxels[is_own]), voxels[is_seen], arrays["rgb"][is_seen])
+
+
 @dataclass(frozen=True, eq=False)
 class PoseWork:
     """What persons are followed in: products in the store, called as the edits say. Implements `PersonsWork`."""
@@ -195,11 +202,12 @@ class PoseWork:
 
     def _told(self, followed: FollowedPerson, track: Tracks) -> FollowedPerson:
         """The same, with what is said of a thing where it is one."""
-        numbers = self.job.config.method.thing
-        if not is_like_nobody(followed, track.xyz, numbers):
+        numbers, series, grid = self.job.config.method.thing, followed.series, stored_grid(self.job.store)
+        misfit = series.misfit.sum(axis=1)[series.blind_std == 0]
+        is_short = len(track) < numbers.least_s * followed.tools.fps
+        if is_short or not is_like_nobody(track.xyz, misfit, numbers):
             return followed
         rows = np.unique(np.linspace(0, len(track) - 1, numbers.n_looks).astype(int))
-        grid = stored_grid(self.job.store)
         looks = list(self._looks(followed.person, track.frame[rows].tolist(), grid))
         if not is_thing(looks, grid.voxel_size_m, numbers):
             return followed
@@ -218,9 +226,7 @@ class PoseWork:
         for frame in frames:
             arrays = hulls.read(frame, ["voxels", "is_surface", "n_views", "rgb"])
             is_own = renamed(owners_at(owners, frame), frame, self.renamings) == person
-            is_seen = is_own & arrays["is_surface"].astype(np.bool_) & (arrays["n_views"] > 0)
-            voxels = arrays["voxels"].astype(np.int32)
-            yield Look(grid.centers(voxels[is_own]), voxels[is_seen], arrays["rgb"][is_seen])
+            yield look_at(arrays, is_own, grid)
 
     def finished(self, one: FollowedPerson) -> PersonPoses:
         """The poses of a followed person, as uncertain as the cameras' agreement leaves them."""
