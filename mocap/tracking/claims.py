@@ -38,6 +38,7 @@ _UNLIKE = 0.4  # Bhattacharyya coefficient under which a blob is somebody else
 _COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
 _LEAST_OF_TWO_KG = 40.0  # two children; what is lighter is not looked at
 _TWO_HEADS_S = 0.3  # two heads for so long are two persons (decision 112)
+BESIDE_M = 0.8  # people so near to each other touch
 # Of an equal share: under a hand that is held up is less (decision 112).
 _LIKE_SHARE = 0.5
 _ALIKE_SHARE = 0.75  # at first sight: a rucksack has had .71 for a moment
@@ -310,6 +311,9 @@ def _divide(
     places = xyz[slots]
     if len(slots) > 1:
         places = _places_by_colour(frame, voxels, [tracks[t] for t in slots], places)
+        # Who loses his upper end to another sinks, and would lose more: nobody is lower than he usually is.
+        usual_m = np.array([tracks[t].top_m / 2 for t in slots])
+        places = np.column_stack([places[:, :2], np.fmax(places[:, 2], usual_m)])
     near = ellipsoid_distance(frame.voxels.centers[voxels], places, settings)
     total_kg = len(voxels) * frame.side_kg
     rows = list(range(len(slots)))
@@ -474,14 +478,20 @@ def _create_several(frame: Frame, others: Sequence[Claim], is_taken: NDArray[np.
 def _come_apart(frame: Frame, tracks: tuple[Track, ...], claims: dict[int, Claim]) -> list[Claim]:
     """Persons who were one track with another until now: of a claim with two heads, for a while. Not in the source.
 
-    The track keeps the share that is nearest to it, in place in `claims`.
+    The track keeps the share that is nearest to it, in place in `claims`. Nobody comes apart beside somebody else: what
+    two people hide from the cameras between them is as high as their heads (decision 123).
     """
     settings = frame.settings
     n_known = sum(track.status != TENTATIVE for track in tracks)
+    firm = [c for slot, c in claims.items() if tracks[slot].status != TENTATIVE and len(c.voxels)]
     newborn: list[Claim] = []
     for slot, claim in claims.items():
         track = tracks[slot]
         if track.status == TENTATIVE or claim.is_shared or claim.weight_kg < _LEAST_OF_TWO_KG:
+            continue
+        if any(
+            np.linalg.norm(c.centroid[:2] - claim.centroid[:2]) < BESIDE_M for c in firm if c is not claim
+        ):
             continue
         shares = _apart(frame, claim.voxels) if claim.is_person else []
         if not shares:

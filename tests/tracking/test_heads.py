@@ -158,6 +158,13 @@ def test_who_was_followed_keeps_the_share_that_is_nearest():
     assert places[1] < -0.2 < 0.2 < places[2]
 
 
+@pytest.mark.parametrize(("y", "n_persons"), [(0.7, 2), (1.0, 3)])
+def test_nobody_comes_apart_beside_somebody_else(y, n_persons):
+    """What two people hide between them has heads, too."""
+    infos, _ = run([[*UNEQUAL, *person(-0.1, y, GREEN)]] * 12, settings())
+    assert persons_in(infos)[-1] == n_persons
+
+
 def test_two_heads_for_a_moment_are_one():
     glimpse = [UNEQUAL] * 6 + [person(-0.3, 0.0, RED)]
     infos, _ = run([person(-0.3, 0.0, RED), *glimpse * 3], settings())

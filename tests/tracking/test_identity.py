@@ -40,6 +40,21 @@ def test_ids_survive_a_turn_back_with_colour(tracker):
     assert confirmed(infos[-1]) == [1, 2]
 
 
+@pytest.mark.parametrize("colour", [True, False])
+@pytest.mark.parametrize("gap", [0.4, 0.5])
+@pytest.mark.parametrize("height", [1.3, 1.45])
+def test_the_shorter_of_two_who_stay_together_keeps_his_head(height, gap, colour):
+    """Between them is what no camera sees. Who lost his upper end to the other sank, and lost more."""
+    come = [person(-x, 0, RED) + person(x, 0, BLUE, height=height) for x in np.linspace(1.2, gap / 2, 20)]
+    between = box(0.0, 0.0, 0.3, 0.15, 0.0, 1.2)
+    infos, _ = run([*come, *[[*come[-1], between]] * 60], settings(colour=colour))
+    assert confirmed(infos[-1]) == [1, 2]
+    places = {t.person: float(t.xyz[0]) for t in infos[-1].tracks}
+    assert places == pytest.approx({1: -gap / 2, 2: gap / 2}, abs=0.06)
+    tops = {person: features.top_m for person, features in infos[-1].features_of.items()}
+    assert tops == pytest.approx({1: 1.7, 2: height})
+
+
 @pytest.mark.parametrize("tracker", TRACKERS)
 @pytest.mark.parametrize("clip", [WALK, U_TURN], ids=["walk on", "turn back"])
 def test_without_colour_two_persons_remain_two(tracker, clip):

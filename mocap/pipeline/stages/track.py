@@ -25,10 +25,10 @@ from mocap.products.owners import owner_row, owners_at
 from mocap.products.tracks import stored_tracks, track_row
 from mocap.rng import rng_for
 from mocap.tracking import Track, TrackerSettings, TrackerState, slim, track_step, tracks_from_history
+from mocap.tracking.claims import BESIDE_M
 
 # Who is cut off at the border of the room: a wrist is as thick, and who walks in through a wall is for some frames.
 _WRIST_M2, _FEW_FRAMES, _FEW_SHARE = 0.002, 2, 0.1
-_BESIDE_M = 0.8  # people so near to each other touch
 _A_WHILE_S = 1.0  # who leaves a room with another is gone by then
 
 
@@ -158,7 +158,7 @@ def _lost_in_another(tracks: Tracks, fps: float) -> list[str]:
         end, later = int(own.frame[-1]), int(own.frame[-1]) + max(1, round(_A_WHILE_S * fps))
         beside = tracks.rows((tracks.frame == end) & (tracks.person != person))
         gap_m = np.linalg.norm(beside.xyz[:, :2] - own.xyz[-1, :2], axis=1)
-        for other in beside.person[gap_m < _BESIDE_M].tolist():
+        for other in beside.person[gap_m < BESIDE_M].tolist():
             if (tracks.of(other).frame >= later).any():
                 warnings.append(
                     f"person {person} is followed up to frame {end} only, where he is beside person {other}: unless "
