@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from mocap.arrays import Array, Indices
 from mocap.tracking import _kernels
@@ -39,6 +40,7 @@ _COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
 _LEAST_OF_TWO_KG = 40.0  # two children; what is lighter is not looked at
 _TWO_HEADS_S = 0.3  # two heads for so long are two persons (decision 112)
 BESIDE_M = 0.8  # people so near to each other touch
+_LOW_TOP_M = 0.8  # who was lower when last seen alone lies or squats; a child of a metre is not
 # Of an equal share: under a hand that is held up is less (decision 112).
 _LIKE_SHARE = 0.5
 _ALIKE_SHARE = 0.75  # at first sight: a rucksack has had .71 for a moment
@@ -305,15 +307,17 @@ def _divide(
 
     A track gets nothing and leaves its share to the others when the share is no person, or when the component
     is too light for all of them: it is a track that has lost its person and stands beside another one, whose
-    arms it must not take.  Where colours tell the persons apart they say first who stands where.
+    arms it must not take.  Where colours tell the persons apart they say first who stands where, and heads then.
+    The ellipsoids of all who stand are of one height: those of their own would give the head of the shorter one to the
+    taller, and who loses his upper end sinks, and loses more (decision 123).
     """
     settings = frame.settings
     places = xyz[slots]
     if len(slots) > 1:
         places = _places_by_colour(frame, voxels, [tracks[t] for t in slots], places)
-        # Who loses his upper end to another sinks, and would lose more: nobody is lower than he usually is.
-        usual_m = np.array([tracks[t].top_m / 2 for t in slots])
-        places = np.column_stack([places[:, :2], np.fmax(places[:, 2], usual_m)])
+        places = _places_by_heads(frame, voxels, places)
+        is_low = np.array([tracks[t].last_top_m < _LOW_TOP_M for t in slots])
+        places[~is_low, 2] = places[:, 2].max()
     near = ellipsoid_distance(frame.voxels.centers[voxels], places, settings)
     total_kg = len(voxels) * frame.side_kg
     rows = list(range(len(slots)))
@@ -365,6 +369,15 @@ def _places_by_colour(frame: Frame, voxels: Indices, tracks: list[Track], xyz: A
                 far = float(np.hypot(shift[0], shift[1]))
                 places[i, :2] = xyz[i, :2] + shift * min(1.0, _PULL_M / max(far, 1e-9))
     return places
+
+
+def _places_by_heads(frame: Frame, voxels: Indices, places: Array) -> Array:
+    """Places (T, 3) m, moved in the plane to the heads of the component if each has one."""
+    heads, _ = _heads(frame, voxels)
+    if len(heads) != len(places):
+        return places.copy()
+    _, own = linear_sum_assignment(np.linalg.norm(places[:, None, :2] - heads, axis=2))
+    return np.column_stack([heads[own], places[:, 2]])
 
 
 def _best_claim(frame: Frame, track: Track, voxels: Indices, distance: Array) -> Claim:
@@ -508,8 +521,8 @@ def _come_apart(frame: Frame, tracks: tuple[Track, ...], claims: dict[int, Claim
     return newborn
 
 
-def _apart(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> list[Claim]:
-    """One claim for each head of a component, by the nearest head; none where they are not all persons.
+def _heads(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> tuple[Array, Indices]:
+    """Heads (H, 2) m of a component that have a body each, and (N,) the head that is nearest to each of its voxels.
 
     like_share : what is less of an equal share has no head of its own; nor has what has no shoulders under it.
     """
@@ -522,9 +535,15 @@ def _apart(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> li
         for i in np.flatnonzero(is_body):
             is_body[i] = has_shoulders(centers[nearest == i], heads[i], frame.settings.voxel_size_m)
         if is_body.all():
-            break
+            return heads, nearest
         heads = np.delete(heads, np.where(is_body, len(voxels), count).argmin(), axis=0)
-    else:
+    return heads, np.zeros(len(voxels), dtype=np.int64)
+
+
+def _apart(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> list[Claim]:
+    """One claim for each head of a component, by the nearest head; none where there is one, or not all are persons."""
+    heads, nearest = _heads(frame, voxels, like_share)
+    if len(heads) < 2:
         return []
     shares = [replace(claim_of(frame, voxels[nearest == i]), is_shared=True) for i in range(len(heads))]
     return shares if all(share.is_person for share in shares) else []

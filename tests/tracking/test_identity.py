@@ -40,19 +40,36 @@ def test_ids_survive_a_turn_back_with_colour(tracker):
     assert confirmed(infos[-1]) == [1, 2]
 
 
+def meeting(gap, height, *between):
+    """A tall and a shorter one who come together, `gap` from one another, and stay for three seconds; with what no
+    camera sees about them then."""
+    come = [person(-x, 0, RED) + person(x, 0, BLUE, height=height) for x in np.linspace(1.2, gap / 2, 20)]
+    return [*come, *[[*come[-1], *between]] * 60]
+
+
 @pytest.mark.parametrize("colour", [True, False])
 @pytest.mark.parametrize("gap", [0.4, 0.5])
 @pytest.mark.parametrize("height", [1.3, 1.45])
 def test_the_shorter_of_two_who_stay_together_keeps_his_head(height, gap, colour):
-    """Between them is what no camera sees. Who lost his upper end to the other sank, and lost more."""
-    come = [person(-x, 0, RED) + person(x, 0, BLUE, height=height) for x in np.linspace(1.2, gap / 2, 20)]
-    between = box(0.0, 0.0, 0.3, 0.15, 0.0, 1.2)
-    infos, _ = run([*come, *[[*come[-1], between]] * 60], settings(colour=colour))
+    """Who lost his upper end to the other sank, and lost more."""
+    infos, _ = run(meeting(gap, height, box(0.0, 0.0, 0.3, 0.15, 0.0, 1.2)), settings(colour=colour))
     assert confirmed(infos[-1]) == [1, 2]
     places = {t.person: float(t.xyz[0]) for t in infos[-1].tracks}
     assert places == pytest.approx({1: -gap / 2, 2: gap / 2}, abs=0.06)
     tops = {person: features.top_m for person, features in infos[-1].features_of.items()}
     assert tops == pytest.approx({1: 1.7, 2: height})
+
+
+@pytest.mark.parametrize("colour", [True, False])
+@pytest.mark.parametrize("height", [1.45, 1.6])
+def test_heads_divide_where_each_has_one(height, colour):
+    """By their places, which what lies behind the tall one draws to its side, the shorter one gets some of him."""
+    behind = box(-0.45, 0.0, 0.2, 0.25, 0.0, 1.3), box(0.0, 0.0, 0.1, 0.1, 0.0, 1.1)
+    infos, _ = run(meeting(0.4, height, *behind), settings(colour=colour))
+    features = infos[-1].features_of
+    assert {person: found.top_m for person, found in features.items()} == pytest.approx({1: 1.7, 2: height})
+    assert features[2].box_min_m == pytest.approx(0.4, abs=0.1)
+    assert {t.person: float(t.xyz[0]) for t in infos[-1].tracks}[2] == pytest.approx(0.2, abs=0.05)
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
