@@ -14,7 +14,8 @@ from mocap.body.model import Body
 from mocap.data.skeleton import Skeleton
 from mocap.geometry.rigid import matrix_from_twist
 
-_LEVEL = 0.5**0.5  # height of a unit vector at 45 degrees
+# Height of a unit vector at 75 degrees: who sits down or rises bends his pelvis by 60 and more (decision 124).
+_LEVEL = 0.966
 
 
 def joint_transforms(body: Body, states: Array) -> tuple[Array, Array]:

@@ -64,6 +64,14 @@ def test_turns(body: Body, yaws_deg: np.ndarray, turns: list[tuple[int, int]]) -
     assert found(body, yaws_deg) == turns
 
 
+@pytest.mark.parametrize(("pitch_deg", "is_told"), [(70, True), (80, False)])
+def test_who_bends_over_does_not_turn_about(body: Body, pitch_deg: float, is_told: bool) -> None:
+    """Who sits down or rises bends his pelvis far, which one who lies does further."""
+    states = states_of(body, yaws((10, 0), (10, 180)))
+    states[:, body.layout.names.index("root_pitch")] += np.deg2rad(pitch_deg)
+    assert bool(turns_of(body, states, FPS, RepairSettings())) == is_told
+
+
 def test_who_lies_has_no_front(body: Body) -> None:
     states = states_of(body, yaws((10, 0), (10, 180)))
     states[:, body.layout.names.index("root_pitch")] += np.pi / 2
