@@ -40,6 +40,10 @@ _COLOUR_FLOOR = 0.002  # likelihood of a colour that a person has never shown
 _LEAST_OF_TWO_KG = 40.0  # two children; what is lighter is not looked at
 _TWO_HEADS_S = 0.3  # two heads for so long are two persons (decision 112)
 BESIDE_M = 0.8  # people so near to each other touch
+_ON_FLOOR_M = 0.2  # a whole body begins below
+_WHOLE_GAP_M = 0.25  # and may be so near to another, axis to axis
+_ABOVE_M = 0.1  # over somebody's usual height; what is there belongs to who is taller
+_FAR = 1e6  # ellipsoids away
 _LOW_TOP_M = 0.8  # who was lower when last seen alone lies or squats; a child of a metre is not
 # Of an equal share: under a hand that is held up is less (decision 112).
 _LIKE_SHARE = 0.5
@@ -319,6 +323,10 @@ def _divide(
         is_low = np.array([tracks[t].last_top_m < _LOW_TOP_M for t in slots])
         places[~is_low, 2] = places[:, 2].max()
     near = ellipsoid_distance(frame.voxels.centers[voxels], places, settings)
+    if len(slots) > 1:
+        # What is higher than somebody ever is belongs to who is taller, if one is.
+        top_m = np.array([tracks[t].top_m for t in slots])
+        near[frame.voxels.centers[voxels, 2] > top_m[:, None] + _ABOVE_M] += _FAR
     total_kg = len(voxels) * frame.side_kg
     rows = list(range(len(slots)))
     while True:
@@ -406,8 +414,23 @@ def _free_persons(
     free = [k for k in heavy if frame.verdicts[k] or (lying and may_lie(parts.features(k)))]
     if len(owners) and free:
         gap = np.linalg.norm(parts.centroid[free, None, :2] - owners[None, :, :2], axis=2)
-        free = [k for k, d in zip(free, gap, strict=True) if d.min() >= frame.settings.min_distance_m]
+        free = [k for k, d in zip(free, gap, strict=True) if d.min() >= _least_gap_m(frame, k)]
     return sorted(free, key=lambda k: (-parts.weight_kg[k], k))
+
+
+def _least_gap_m(frame: Frame, k: int) -> float:
+    """How far a person component must be from everybody who is followed.
+
+    A piece of somebody is near him; what stands on the floor and has a head and shoulders is none, as a child at the
+    hand of an adult (decision 125).
+    """
+    parts, settings = frame.parts, frame.settings
+    if not (settings.whole_components and frame.verdicts[k] and parts.lower[k, 2] < _ON_FLOOR_M):
+        return settings.min_distance_m
+    heads, _ = _heads(frame, parts.voxels(k))
+    centers = frame.voxels.centers[parts.voxels(k)]
+    is_whole = len(heads) == 1 and has_shoulders(centers, heads[0], settings.voxel_size_m)
+    return _WHOLE_GAP_M if is_whole else settings.min_distance_m
 
 
 def _reacquire(
@@ -462,7 +485,7 @@ def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_])
     for k in _free_persons(frame, claims, is_taken, lying=frame.settings.follow_low):
         centroid = frame.parts.centroid
         gaps = [np.linalg.norm(centroid[k, :2] - centroid[n, :2]) for n in newborn]
-        if all(gap >= frame.settings.min_distance_m for gap in gaps):
+        if not gaps or min(gaps) >= _least_gap_m(frame, k):
             newborn.append(k)
             is_taken[k] = True
     claims_of = (_born(frame, k) for k in newborn)

@@ -238,3 +238,51 @@ def test_where_one_is_expected_nobody_parts_from_him():
 def test_as_published_two_side_by_side_are_one():
     infos, _ = run([PAIR] * 10, settings(whole_components=False))
     assert persons_in(infos) == [1] * 10
+
+
+def move(boxes, x):
+    return [((a[0] + x, *a[1:]), (b[0] + x, *b[1:]), rgb) for a, b, rgb in boxes]
+
+
+CHILD = [box(0.0, 0.4, 0.125, 0.15, 0.0, 0.95, BLUE), box(0.0, 0.4, 0.1, 0.1, 0.95, 1.15, BLUE)]
+POST = [box(0.0, 0.425, 0.15, 0.15, 0.0, 0.5), box(0.0, 0.425, 0.075, 0.075, 0.5, 1.15)]
+HANGING = [box(0.0, 0.45, 0.15, 0.2, 0.35, 1.25), box(0.0, 0.45, 0.1, 0.1, 1.25, 1.5)]
+
+
+@pytest.mark.parametrize(
+    ("beside", "n_persons"), [(CHILD, 2), (POST, 1), (HANGING, 1), ([box(0.0, 0.4, 0.1, 0.1, 0.0, 0.9)], 1)]
+)
+def test_a_whole_body_may_be_nearer_to_somebody_than_a_piece_of_him(beside, n_persons):
+    for clip in (
+        [[*person(0.0, 0.0, RED), *beside]] * 8,
+        [person(0.0, 0.0, RED)] * 4 + [[*person(0.0, 0.0, RED), *beside]] * 8,
+    ):
+        infos, _ = run(clip, settings())
+        assert infos[-1].n_components == 2
+        assert len(confirmed(infos[-1])) == len(infos[-8].tracks) == n_persons
+
+
+def test_nobody_is_born_within_somebody():
+    """Two volumes whose axes are a hand's breadth from each other are of one body."""
+    halves = [
+        *(box(x, 0.0, 0.075, 0.2, 0.0, 1.35) for x in (-0.075, 0.125)),
+        *(box(x, 0.0, 0.075, 0.1, 1.35, 1.7) for x in (-0.075, 0.125)),
+    ]
+    infos, _ = run([halves] * 8, settings())
+    assert infos[-1].n_components == 2
+    assert len(confirmed(infos[-1])) == 1
+
+
+def test_what_is_higher_than_a_child_ever_is_belongs_to_the_adult():
+    """The adult bends over it, so that the child's axis is the nearest one to his head."""
+    apart = [[*person(-0.3, 0.0, RED), *move(CHILD, 0.3)]] * 8
+    over = [
+        *move(CHILD, 0.3),
+        *person(-0.3, 0.0, RED)[:1],
+        box(-0.05, 0.2, 0.4, 0.2, 0.85, 1.3, RED),
+        box(0.3, 0.4, 0.1, 0.1, 1.3, 1.5),
+    ]
+    infos, _ = run([*apart, *[over] * 12], settings())
+    assert infos[-1].n_components == 1
+    tops = {person: found.top_m for person, found in infos[-1].features_of.items()}
+    assert tops == pytest.approx({1: 1.5, 2: 1.15}, abs=0.11)
