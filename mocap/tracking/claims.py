@@ -24,7 +24,7 @@ from mocap.tracking.features import (
     measure_voxels,
     weight_kg,
 )
-from mocap.tracking.heads import has_shoulders, heads_of
+from mocap.tracking.heads import ABOVE_M, has_shoulders, heads_of, nearest_head
 from mocap.tracking.state import COASTING, RANK, TENTATIVE, Track, TrackerSettings
 from mocap.tracking.voxels import FrameVoxels
 
@@ -42,7 +42,7 @@ _TWO_HEADS_S = 0.3  # two heads for so long are two persons (decision 112)
 BESIDE_M = 0.8  # people so near to each other touch
 _ON_FLOOR_M = 0.2  # a whole body begins below
 _WHOLE_GAP_M = 0.25  # and may be so near to another, axis to axis
-_ABOVE_M = 0.1  # over somebody's usual height; what is there belongs to who is taller
+_BOB_M = 0.04  # by which who walks is higher at times than usually
 _FAR = 1e6  # ellipsoids away
 _LOW_TOP_M = 0.8  # who was lower when last seen alone lies or squats; a child of a metre is not
 # Of an equal share: under a hand that is held up is less (decision 112).
@@ -319,14 +319,14 @@ def _divide(
     places = xyz[slots]
     if len(slots) > 1:
         places = _places_by_colour(frame, voxels, [tracks[t] for t in slots], places)
-        places = _places_by_heads(frame, voxels, places)
+        tops_m = np.array([tracks[t].top_m + _BOB_M for t in slots])
+        places, tops_m = _places_by_heads(frame, voxels, places, tops_m)
         is_low = np.array([tracks[t].last_top_m < _LOW_TOP_M for t in slots])
         places[~is_low, 2] = places[:, 2].max()
     near = ellipsoid_distance(frame.voxels.centers[voxels], places, settings)
     if len(slots) > 1:
-        # What is higher than somebody ever is belongs to who is taller, if one is.
-        top_m = np.array([tracks[t].top_m for t in slots])
-        near[frame.voxels.centers[voxels, 2] > top_m[:, None] + _ABOVE_M] += _FAR
+        # What is higher than somebody belongs to who is taller, if one is.
+        near[frame.voxels.centers[voxels, 2] > tops_m[:, None]] += _FAR
     total_kg = len(voxels) * frame.side_kg
     rows = list(range(len(slots)))
     while True:
@@ -379,13 +379,13 @@ def _places_by_colour(frame: Frame, voxels: Indices, tracks: list[Track], xyz: A
     return places
 
 
-def _places_by_heads(frame: Frame, voxels: Indices, places: Array) -> Array:
-    """Places (T, 3) m, moved in the plane to the heads of the component if each has one."""
+def _places_by_heads(frame: Frame, voxels: Indices, places: Array, tops_m: Array) -> tuple[Array, Array]:
+    """Places (T, 3) m and how high each is at most, (T,) m: by the heads of the component if each has one."""
     heads, _ = _heads(frame, voxels)
     if len(heads) != len(places):
-        return places.copy()
-    _, own = linear_sum_assignment(np.linalg.norm(places[:, None, :2] - heads, axis=2))
-    return np.column_stack([heads[own], places[:, 2]])
+        return places.copy(), tops_m
+    _, own = linear_sum_assignment(np.linalg.norm(places[:, None, :2] - heads[:, :2], axis=2))
+    return np.column_stack([heads[own, :2], places[:, 2]]), heads[own, 2] + ABOVE_M
 
 
 def _best_claim(frame: Frame, track: Track, voxels: Indices, distance: Array) -> Claim:
@@ -545,14 +545,14 @@ def _come_apart(frame: Frame, tracks: tuple[Track, ...], claims: dict[int, Claim
 
 
 def _heads(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> tuple[Array, Indices]:
-    """Heads (H, 2) m of a component that have a body each, and (N,) the head that is nearest to each of its voxels.
+    """Heads (H, 3) m of a component that have a body each, and (N,) the head that is nearest to each of its voxels.
 
     like_share : what is less of an equal share has no head of its own; nor has what has no shoulders under it.
     """
     centers = frame.voxels.centers[voxels]
     heads = heads_of(centers, frame.settings.voxel_size_m)
     while len(heads) > 1:
-        nearest = np.linalg.norm(centers[:, None, :2] - heads, axis=2).argmin(axis=1)
+        nearest = nearest_head(centers, heads)
         count = np.bincount(nearest, minlength=len(heads))
         is_body = count >= like_share * len(voxels) / len(heads)
         for i in np.flatnonzero(is_body):

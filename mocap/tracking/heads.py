@@ -5,12 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mocap.arrays import Array
+from mocap.arrays import Array, Indices
 
 _LEAST_TOP_M = 1.0  # what is lower is no head of somebody who stands or sits on a chair
 # Between what two persons hide from each other a hull may be as high as shoulders are; heads rise above that.
 _RISE_M = 0.15
 _FINGERS_M = 0.06  # radius; what is thinner is no head
+ABOVE_M = 0.1  # over a head, whose top is found a little lower than it is: that belongs to who is taller
+_FAR_M = 1e3  # beyond any room
 # Shoulders: within this of the head's axis, a fifth of the height under its top (a slab of so much), a section of so
 # much of the height's square. Heads of two who touch have 1.3 times as much and more, hands held up 0.64 at most
 # (decision 114).
@@ -21,7 +23,7 @@ _SECTION = 0.018
 
 
 def heads_of(centers: Array, voxel_size_m: float) -> Array:
-    """Places (H, 2) m of the heads of one connected volume, the highest first.
+    """Tops (H, 3) m of the heads of one connected volume, the highest first.
 
     centers : (N, 3) m of its voxels.
     A head is the highest place of all around from which one cannot come to a higher one without descending by 0.15 m.
@@ -45,15 +47,22 @@ def heads_of(centers: Array, voxel_size_m: float) -> Array:
         around = labels == labels[np.unravel_index(np.argmax(rest), rest.shape)]
         if not (around & ~is_free).any():
             peak = np.argwhere(around & (top > height - voxel_size_m / 2)).mean(axis=0)
-            heads.append(origin + voxel_size_m * (peak - 1))
+            heads.append((*(origin + voxel_size_m * (peak - 1)), height))
         is_free &= ~around
-    return np.array(heads).reshape(-1, 2)
+    return np.array(heads).reshape(-1, 3)
+
+
+def nearest_head(centers: Array, heads: Array) -> Indices:
+    """Which of the heads (H, 3) m is nearest to each voxel, (N,): in the plane, and of those that it is not above."""
+    gap = np.linalg.norm(centers[:, None, :2] - heads[:, :2], axis=2)
+    is_above = centers[:, None, 2] > heads[:, 2] + ABOVE_M
+    return np.asarray((gap + _FAR_M * is_above).argmin(axis=1))
 
 
 def has_shoulders(body: Array, head: Array, voxel_size_m: float) -> bool:
     """Whether what is under a head is as wide as shoulders are; a hand that is held up has a forearm there.
 
-    body : (N, 3) m, centres of the voxels that are nearest to this head.  head : (2,) m, its place.
+    body : (N, 3) m, centres of the voxels that are nearest to this head.  head : (3,) m, its top.
     """
     aside = np.hypot(body[:, 0] - head[0], body[:, 1] - head[1])
     top = body[aside <= max(_FINGERS_M, voxel_size_m), 2].max(initial=0.0) + voxel_size_m / 2

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from bodies import BLUE, GREEN, RED, box, confirmed, observe, person, run, settings
 
-from mocap.tracking.heads import has_shoulders, heads_of
+from mocap.tracking.heads import ABOVE_M, has_shoulders, heads_of, nearest_head
 
 # What few cameras see between people: as high as their shoulders, and wider than they are.
 BETWEEN = box(0.0, 0.0, 0.6, 0.25, 0.0, 1.25)
@@ -12,7 +12,7 @@ TOUCHING = [BETWEEN, *person(-0.4, 0.0, RED), *person(0.4, 0.1, BLUE, height=1.5
 
 
 def heads(boxes, side):
-    return heads_of(observe(boxes, side=side).centers, side)
+    return heads_of(observe(boxes, side=side).centers, side)[:, :2]
 
 
 @pytest.mark.parametrize("side", [0.02, 0.05])
@@ -194,7 +194,7 @@ def test_half_of_a_body_under_a_hand_held_up_is_no_person():
     found = heads(boxes, 0.05)
     assert len(found) == 2
     centers = observe(boxes).centers
-    near = np.linalg.norm(centers[:, None, :2] - found, axis=2).argmin(axis=1)
+    near = np.linalg.norm(centers[:, None, :2] - found[:, :2], axis=2).argmin(axis=1)
     assert np.bincount(near).min() > 0.7 * len(centers) / 2
     infos, _ = run([boxes] * 12, settings())
     assert persons_in(infos) == [1] * 12
@@ -273,6 +273,19 @@ def test_nobody_is_born_within_somebody():
     assert persons_in(infos) == [1] * 8
 
 
+def test_what_is_above_a_head_belongs_to_a_higher_one():
+    tops = np.array([[0.0, 0.0, 1.7], [0.4, 0.0, 1.1]])
+    beside_child = np.array(
+        [[0.3, 0.0, z] for z in (0.5, 1.1 + 0.9 * ABOVE_M, 1.1 + 1.1 * ABOVE_M, 1.6, 1.9)]
+    )
+    assert nearest_head(beside_child, tops).tolist() == [1, 1, 0, 0, 1]  # what is above all is of the nearest
+
+
+def test_tops_of_heads_have_their_height():
+    found = heads_of(observe([*person(-0.4, 0.0), *person(0.4, 0.0, height=1.5)]).centers, 0.05)
+    np.testing.assert_allclose(found[:, 2], [1.7, 1.5], atol=1e-6)
+
+
 def test_what_is_higher_than_a_child_ever_is_belongs_to_the_adult():
     """The adult bends over it, so that the child's axis is the nearest one to his head."""
     apart = [[*person(-0.3, 0.0, RED), *move(CHILD, 0.3)]] * 8
@@ -286,3 +299,14 @@ def test_what_is_higher_than_a_child_ever_is_belongs_to_the_adult():
     assert infos[-1].n_components == 1
     tops = {person: found.top_m for person, found in infos[-1].features_of.items()}
     assert tops == pytest.approx({1: 1.5, 2: 1.15}, abs=0.11)
+
+
+def test_an_arm_above_a_childs_head_is_not_its_own_where_each_has_a_head():
+    child = [box(0.3, 0.0, 0.125, 0.15, 0.0, 0.95, BLUE), box(0.3, 0.0, 0.1, 0.1, 0.95, 1.15, BLUE)]
+    hands, arm = box(0.0, 0.0, 0.3, 0.05, 0.3, 0.6), box(-0.05, -0.2, 0.15, 0.1, 1.25, 1.4)
+    apart, together = [*person(-0.3, 0.0, RED), *child], [*person(-0.3, 0.0, RED), *child, hands, arm]
+    assert len(heads(together, 0.05)) == 2
+    infos, _ = run([*[apart] * 8, *[together] * 8], settings())
+    assert infos[-1].n_components == 1
+    tops = {person: found.top_m for person, found in infos[-1].features_of.items()}
+    assert tops == pytest.approx({1: 1.7, 2: 1.2}, abs=0.051)
