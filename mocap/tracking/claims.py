@@ -316,17 +316,16 @@ def _divide(
     taller, and who loses his upper end sinks, and loses more (decision 123).
     """
     settings = frame.settings
-    places = xyz[slots]
+    centers, places, tops_m = frame.voxels.centers[voxels], xyz[slots], np.full(len(slots), np.inf)
     if len(slots) > 1:
         places = _places_by_colour(frame, voxels, [tracks[t] for t in slots], places)
         tops_m = np.array([tracks[t].top_m + _BOB_M for t in slots])
         places, tops_m = _places_by_heads(frame, voxels, places, tops_m)
         is_low = np.array([tracks[t].last_top_m < _LOW_TOP_M for t in slots])
         places[~is_low, 2] = places[:, 2].max()
-    near = ellipsoid_distance(frame.voxels.centers[voxels], places, settings)
-    if len(slots) > 1:
-        # What is higher than somebody belongs to who is taller, if one is.
-        near[frame.voxels.centers[voxels, 2] > tops_m[:, None]] += _FAR
+    near = ellipsoid_distance(centers, places, settings)
+    # What is higher than somebody belongs to who is taller, if one is (decision 125).
+    near[centers[:, 2] > tops_m[:, None]] += _FAR
     total_kg = len(voxels) * frame.side_kg
     rows = list(range(len(slots)))
     while True:
