@@ -120,17 +120,19 @@ class ThingWatch:
         moments.append(_Moment(time_s, xyz, misfit, look() if is_due else None))
         while time_s - moments[0].time_s > numbers.watched_s:
             moments.popleft()
-        track = np.array([moment.xyz for moment in moments])
         if self._place is not None:
-            if np.median(np.linalg.norm(track[:, :2] - self._place, axis=1)) > numbers.stays_m:
+            if np.median(np.linalg.norm(self._track()[:, :2] - self._place, axis=1)) > numbers.stays_m:
                 self._place = None
                 moments.clear()
         elif is_due:
             self._looked_s = time_s
-            if self._seems_thing(track):
-                self._place = np.median(track[:, :2], axis=0)
+            if self._seems_thing():
+                self._place = np.median(self._track()[:, :2], axis=0)
 
-    def _seems_thing(self, track: Array) -> bool:
+    def _track(self) -> Array:
+        return np.array([moment.xyz for moment in self._moments])
+
+    def _seems_thing(self) -> bool:
         numbers, moments = self._numbers, self._moments
         looks = [moment.look for moment in moments if moment.look is not None]
         misfit = np.array([moment.misfit for moment in moments if moment.misfit is not None])
@@ -139,6 +141,6 @@ class ThingWatch:
         return (
             is_long
             and is_known
-            and is_like_nobody(track, misfit, numbers)
+            and is_like_nobody(self._track(), misfit, numbers)
             and is_thing(looks, self._voxel_size_m, numbers)
         )

@@ -413,23 +413,24 @@ def _free_persons(
     free = [k for k in heavy if frame.verdicts[k] or (lying and may_lie(parts.features(k)))]
     if len(owners) and free:
         gap = np.linalg.norm(parts.centroid[free, None, :2] - owners[None, :, :2], axis=2)
-        free = [k for k, d in zip(free, gap, strict=True) if d.min() >= _least_gap_m(frame, k)]
+        free = [k for k, d in zip(free, gap, strict=True) if _is_apart(frame, k, d.min())]
     return sorted(free, key=lambda k: (-parts.weight_kg[k], k))
 
 
-def _least_gap_m(frame: Frame, k: int) -> float:
-    """How far a person component must be from everybody who is followed.
+def _is_apart(frame: Frame, k: int, gap_m: float) -> bool:
+    """Whether a person component is far enough from the nearest one who is followed.
 
     A piece of somebody is near him; what stands on the floor and has a head and shoulders is none, as a child at the
     hand of an adult (decision 125).
     """
     parts, settings = frame.parts, frame.settings
+    if gap_m >= settings.min_distance_m or gap_m < _WHOLE_GAP_M:
+        return gap_m >= settings.min_distance_m
     if not (settings.whole_components and frame.verdicts[k] and parts.lower[k, 2] < _ON_FLOOR_M):
-        return settings.min_distance_m
+        return False
     heads, _ = _heads(frame, parts.voxels(k))
     centers = frame.voxels.centers[parts.voxels(k)]
-    is_whole = len(heads) == 1 and has_shoulders(centers, heads[0], settings.voxel_size_m)
-    return _WHOLE_GAP_M if is_whole else settings.min_distance_m
+    return len(heads) == 1 and has_shoulders(centers, heads[0], settings.voxel_size_m)
 
 
 def _reacquire(
@@ -483,8 +484,8 @@ def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_])
     newborn: list[int] = []
     for k in _free_persons(frame, claims, is_taken, lying=frame.settings.follow_low):
         centroid = frame.parts.centroid
-        gaps = [np.linalg.norm(centroid[k, :2] - centroid[n, :2]) for n in newborn]
-        if not gaps or min(gaps) >= _least_gap_m(frame, k):
+        gaps = [float(np.linalg.norm(centroid[k, :2] - centroid[n, :2])) for n in newborn]
+        if _is_apart(frame, k, min(gaps, default=np.inf)):
             newborn.append(k)
             is_taken[k] = True
     claims_of = (_born(frame, k) for k in newborn)

@@ -240,17 +240,17 @@ def test_as_published_two_side_by_side_are_one():
     assert persons_in(infos) == [1] * 10
 
 
-def move(boxes, x):
-    return [((a[0] + x, *a[1:]), (b[0] + x, *b[1:]), rgb) for a, b, rgb in boxes]
+def child(x, y):
+    return [box(x, y, 0.125, 0.15, 0.0, 0.95, BLUE), box(x, y, 0.1, 0.1, 0.95, 1.15, BLUE)]
 
 
-CHILD = [box(0.0, 0.4, 0.125, 0.15, 0.0, 0.95, BLUE), box(0.0, 0.4, 0.1, 0.1, 0.95, 1.15, BLUE)]
 POST = [box(0.0, 0.425, 0.15, 0.15, 0.0, 0.5), box(0.0, 0.425, 0.075, 0.075, 0.5, 1.15)]
 HANGING = [box(0.0, 0.45, 0.15, 0.2, 0.35, 1.25), box(0.0, 0.45, 0.1, 0.1, 1.25, 1.5)]
 
 
 @pytest.mark.parametrize(
-    ("beside", "n_persons"), [(CHILD, 2), (POST, 1), (HANGING, 1), ([box(0.0, 0.4, 0.1, 0.1, 0.0, 0.9)], 1)]
+    ("beside", "n_persons"),
+    [(child(0.0, 0.4), 2), (POST, 1), (HANGING, 1), ([box(0.0, 0.4, 0.1, 0.1, 0.0, 0.9)], 1)],
 )
 def test_a_whole_body_may_be_nearer_to_somebody_than_a_piece_of_him(beside, n_persons):
     for clip in (
@@ -288,9 +288,9 @@ def test_tops_of_heads_have_their_height():
 
 def test_what_is_higher_than_a_child_ever_is_belongs_to_the_adult():
     """The adult bends over it, so that the child's axis is the nearest one to his head."""
-    apart = [[*person(-0.3, 0.0, RED), *move(CHILD, 0.3)]] * 8
+    apart = [[*person(-0.3, 0.0, RED), *child(0.3, 0.4)]] * 8
     over = [
-        *move(CHILD, 0.3),
+        *child(0.3, 0.4),
         *person(-0.3, 0.0, RED)[:1],
         box(-0.05, 0.2, 0.4, 0.2, 0.85, 1.3, RED),
         box(0.3, 0.4, 0.1, 0.1, 1.3, 1.5),
@@ -302,9 +302,9 @@ def test_what_is_higher_than_a_child_ever_is_belongs_to_the_adult():
 
 
 def test_an_arm_above_a_childs_head_is_not_its_own_where_each_has_a_head():
-    child = [box(0.3, 0.0, 0.125, 0.15, 0.0, 0.95, BLUE), box(0.3, 0.0, 0.1, 0.1, 0.95, 1.15, BLUE)]
     hands, arm = box(0.0, 0.0, 0.3, 0.05, 0.3, 0.6), box(-0.05, -0.2, 0.15, 0.1, 1.25, 1.4)
-    apart, together = [*person(-0.3, 0.0, RED), *child], [*person(-0.3, 0.0, RED), *child, hands, arm]
+    apart = [*person(-0.3, 0.0, RED), *child(0.3, 0.0)]
+    together = [*apart, hands, arm]
     assert len(heads(together, 0.05)) == 2
     infos, _ = run([*[apart] * 8, *[together] * 8], settings())
     assert infos[-1].n_components == 1
