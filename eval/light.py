@@ -8,8 +8,8 @@ without dividing the light out.  Writes eval/results/light.csv.
 Conditions: `exposure` swings by a quarter with a period of 45 frames; `white balance` moves red and blue by 15 %
 against each other in 60 frames; `lamp` makes one side of the picture up to 40 % brighter from the middle of the clip
 on; `flicker` draws two bands of 12 %, as lamps at 50 Hz do at short exposures; `noise` of 8 levels; `compression` as
-JPEG of quality 20; `no colours` leaves the brightness alone, in the empty clip too; `hard light` leaves 40 % of it in
-shadows. One to three minutes per session.
+JPEG of quality 20; `hard light` leaves 40 % of it in shadows. In the empty clip too: `no colours` leaves the brightness
+alone, `dim` is noise of 14 levels. One to three minutes per session.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ def _white_balance(picture: Image, frame: int, n: int, rng: np.random.Generator)
     return _lit(picture, np.array([1 + swing, 1, 1 - swing]))
 
 
-def _noise(picture: Image, frame: int, n: int, rng: np.random.Generator) -> Image:
-    return np.clip(np.round(picture + rng.normal(0, 8, picture.shape)), 0, 255).astype(np.uint8)
+def _noisy(picture: Image, levels: float, rng: np.random.Generator) -> Image:
+    return np.clip(np.round(picture + rng.normal(0, levels, picture.shape)), 0, 255).astype(np.uint8)
 
 
 def _compressed(picture: Image, quality: int) -> Image:
@@ -99,7 +99,7 @@ CONDITIONS: dict[str, Spoil] = {
     "white balance": _white_balance,
     "lamp": _lamp,
     "flicker": _flicker,
-    "noise": _noise,
+    "noise": lambda picture, frame, n, rng: _noisy(picture, 8, rng),
     "compression": lambda picture, frame, n, rng: _compressed(picture, 20),
 }
 HARD = "hard light"
@@ -108,6 +108,7 @@ CAMERAS: dict[str, Spoil] = {
     "overexposed": lambda picture, frame, n, rng: _lit(picture, 1.8),
     "stored": lambda picture, frame, n, rng: _compressed(picture, 35),
     "no colours": lambda picture, frame, n, rng: as_grey(picture),
+    "dim": lambda picture, frame, n, rng: _noisy(picture, 14, rng),
 }
 
 

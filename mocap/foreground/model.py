@@ -23,6 +23,10 @@ COVERED_WORTH_A_WORD = 0.001  # of the picture
 # picture that may be further off. Compression tints all of it, by up to 8 levels of grey_few; noise of a colour camera
 # before a grey wall is not even.
 _GREY_STEPS, _MOST_COLOURED = 3, 0.001
+# Levels of standard deviation from which pictures are calmed (below, errors of people are the same without), and how:
+# over how many pixels, and how far apart the colours of one surface may be (decision 126).
+_NOISY = 5.0
+_CALMED_PX, _CALMED_SIGMA_PX, _CALMED_LEVELS = 5, 1.5, 80.0
 EMPTY_REDUCTION = 2  # a pixel of 640 x 480 sees a centimetre of the floor, half of what is asked of it
 
 
@@ -36,6 +40,7 @@ class Background:
     covered : (H, W) bool, pixels that no picture shows empty: a person is always there; None = none.
     told_share : share of the pixels that no picture of this camera shows empty, and that others know.
     is_grey : no picture has colours, but for one tint: the camera sees none, or only the room has none.
+    is_noisy : mean and std are those of `calmed` pictures, and what is compared with them is to be calmed, too.
     """
 
     mean: NDArray[np.float32]
@@ -46,6 +51,7 @@ class Background:
     covered: Mask | None = None
     told_share: float = 0.0
     is_grey: bool = False
+    is_noisy: bool = False
 
     @property
     def holds_somebody(self) -> bool:
@@ -156,10 +162,35 @@ def _check_picture(image: Image, i: int, shape: tuple[int, ...] | None) -> None:
         raise ValueError(f"images: expected shape {shape} throughout, got {image.shape} at picture {i}")
 
 
+def are_noisy(std: NDArray[np.float32]) -> bool:
+    """Whether pictures of this spread, (H, W, 3) grey levels, hide much of a person in their noise.
+
+    Three standard deviations are the least difference that is seen, and clothes differ from a room by tens of levels.
+    """
+    return float(np.median(std)) > _NOISY
+
+
+def calmed(picture: Image) -> Image:
+    """A picture (H, W, 3) uint8 RGB of a camera that has too little light, without most of its noise.
+
+    Edges stay where they are.
+    """
+    calm = cv2.bilateralFilter(picture, _CALMED_PX, _CALMED_LEVELS, _CALMED_SIGMA_PX)
+    return calm.astype(np.uint8, copy=False)
+
+
 def _statistics(samples: list[Image], kind: str) -> Background:
     mean, std, moved = statistics_of(np.stack(samples), _FAR)
-    moving = float(moved.any(axis=2).mean())
-    return Background(mean, np.maximum(std, STD_FLOOR), len(samples), kind, moving, is_grey=are_grey(samples))
+    if is_noisy := are_noisy(std):
+        mean, std, moved = statistics_of(np.stack([calmed(image) for image in samples]), _FAR)
+    # Single pixels are noise.
+    moving = float(
+        cv2.morphologyEx(moved.any(axis=2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))).mean()
+    )
+    return Background(
+        mean, np.maximum(std, STD_FLOOR), len(samples), kind, moving,
+        is_grey=are_grey(samples), is_noisy=is_noisy,
+    )  # fmt: skip
 
 
 def statistics_of(
@@ -176,7 +207,18 @@ def statistics_of(
 
 def _still(image: Image) -> Background:
     """Noise from the median absolute deviation of the picture from its own 3 x 3 median, per channel."""
-    fine = image.astype(np.float32) - cv2.medianBlur(image, 3)
-    noise = np.median(np.abs(fine), axis=(0, 1)) / 0.6745
+    noise = _noise_of(image)
+    shown = image
+    if is_noisy := are_noisy(noise):
+        shown = calmed(image)
+        noise = _noise_of(shown)
     std = np.broadcast_to(np.maximum(noise, _STILL_STD_FLOOR).astype(np.float32), image.shape).copy()
-    return Background(image.astype(np.float32), std, 1, "still", 0.0, is_grey=are_grey([image]))
+    return Background(
+        shown.astype(np.float32), std, 1, "still", 0.0, is_grey=are_grey([image]), is_noisy=is_noisy
+    )
+
+
+def _noise_of(image: Image) -> NDArray[np.float32]:
+    """Standard deviation of each channel from its fine structure, (3,)."""
+    fine = image.astype(np.float32) - cv2.medianBlur(image, 3)
+    return np.asarray(np.median(np.abs(fine), axis=(0, 1)) / 0.6745)

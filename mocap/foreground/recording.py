@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Image, Mask, largest_channel
 from mocap.foreground import _kernels
-from mocap.foreground.model import STD_FLOOR, Background, are_grey, statistics_of, thinned
+from mocap.foreground.model import (
+    STD_FLOOR,
+    Background,
+    are_grey,
+    are_noisy,
+    calmed,
+    statistics_of,
+    thinned,
+)
 from mocap.foreground.refine import refine_mask
 
 KEY_PICTURES = 12  # each takes 0.1 s per camera; what is free in one of them is learnt
@@ -32,6 +40,9 @@ _LEAST_NOISE = 0.2  # levels: pictures that are drawn have none
 # stand, in_place, gesture), furniture round which one to three walk 1.8 to 5.2 and one piece 5.7 (dev:furnished,
 # dev:room; decision 88).
 _LEAST_STIR = 5.5
+_USUAL_NOISE = (
+    0.8  # levels, of these recordings: who stays stirs by 5 to 9, furniture by 2 to 3, in noise as well
+)
 _STIRS = 0.9  # of what must stir: a shirt is plain, outlines and folds move
 _SHADE_PX = 11  # side of the square in which shade has one strength
 # Chairs, tables and cabinets beside people stir less than this, and so do middles of plain clothes; but of their edges
@@ -152,12 +163,7 @@ def bare_in(keys: KeyPictures, cuts: Sequence[Mask]) -> list[Mask]:
     """
     soft = np.stack([cv2.blur(picture, (3, 3)) for picture in keys.pictures])
     cover = np.stack([1 + 2 * cv2.dilate(cut.astype(np.uint8), _disc(_RIM_PX)) for cut in cuts])
-    mean = np.empty(soft.shape[1:], dtype=np.float32)
-    n_free = np.empty(soft.shape[1:3], dtype=np.uint8)
-    _kernels.free_statistics(
-        soft.reshape(len(soft), -1, 3), cover.reshape(len(soft), -1), _FAR,
-        mean.reshape(-1, 3), np.empty_like(mean).reshape(-1, 3), n_free.reshape(-1),
-    )  # fmt: skip
+    mean, _, n_free = _free_statistics(soft, cover)
     is_known = (n_free >= _LEAST_BARE) & (n_free < len(soft))
     return [is_known & (largest_channel(np.abs(picture - mean)) < _SAME) for picture in soft]
 
@@ -180,13 +186,9 @@ def background_of_recording(images: Iterable[Image], cuts: Sequence[Mask]) -> Ba
         own = cv2.resize(cut.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
         cover[k] = 1 + own + cv2.dilate(own, _disc(_RIM_PX * reduction_of(width)))
     stack = np.stack(_same_light(samples))
-    mean = np.empty((height, width, 3), dtype=np.float32)
-    std = np.empty_like(mean)
-    n_free = np.empty((height, width), dtype=np.uint8)
-    _kernels.free_statistics(
-        stack.reshape(len(stack), -1, 3), cover.reshape(len(stack), -1), _FAR,
-        mean.reshape(-1, 3), std.reshape(-1, 3), n_free.reshape(-1),
-    )  # fmt: skip
+    mean, std, n_free = _free_statistics(stack, cover)
+    if is_noisy := are_noisy(std):
+        mean, std, n_free = _free_statistics(np.stack([calmed(image) for image in stack]), cover)
     covered = n_free == 0
     shown = np.clip(np.round(mean), 0, 255).astype(np.uint8)
     painted = cv2.inpaint(shown, covered.astype(np.uint8), 3, cv2.INPAINT_TELEA)
@@ -195,7 +197,25 @@ def background_of_recording(images: Iterable[Image], cuts: Sequence[Mask]) -> Ba
     std[covered] = usual
     np.clip(std, usual, _LEAST_STD * usual, out=std)
     moving = float((cover > 1).any(axis=0).mean())
-    return Background(mean, std, len(samples), "recording", moving, covered, is_grey=are_grey(samples))
+    return Background(
+        mean, std, len(samples), "recording", moving, covered, is_grey=are_grey(samples), is_noisy=is_noisy
+    )
+
+
+def _free_statistics(
+    stack: NDArray[np.uint8], cover: NDArray[np.uint8]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
+    """Mean and spread (h, w, 3) of pictures (N, h, w, 3) where they are free, and in how many, (h, w).
+
+    cover : (N, h, w), as of `_kernels.free_statistics`.
+    """
+    mean = np.empty(stack.shape[1:], dtype=np.float32)
+    std, n_free = np.empty_like(mean), np.empty(stack.shape[1:3], dtype=np.uint8)
+    _kernels.free_statistics(
+        stack.reshape(len(stack), -1, 3), cover.reshape(len(stack), -1), _FAR,
+        mean.reshape(-1, 3), std.reshape(-1, 3), n_free.reshape(-1),
+    )  # fmt: skip
+    return mean, std, n_free
 
 
 def with_floor(
@@ -306,7 +326,13 @@ def stirring_of(keys: KeyPictures) -> NDArray[np.float32]:
         squares += ((off - shade * usual) * near[..., None]) ** 2
         n += near
     spread = np.sqrt(largest_channel(squares) / np.maximum(n, 1))
-    return cv2.blur(spread / max(float(np.median(spread)), _LEAST_NOISE), (5, 5))
+    noise = max(float(np.median(spread)), _LEAST_NOISE)
+    stirring = cv2.blur(spread / noise, (5, 5))
+    if noise <= _USUAL_NOISE:
+        return stirring
+    # In noisy pictures nobody moves more. What the noise leaves is measured as usual.
+    own = np.maximum(stirring**2 - 1, 0) * (noise / _USUAL_NOISE) ** 2
+    return np.sqrt(1 + own, dtype=np.float32)
 
 
 def off_rim(cut: Mask) -> Mask:

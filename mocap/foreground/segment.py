@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mocap.arrays import Image, Mask, largest_channel
 from mocap.foreground import _kernels
-from mocap.foreground.model import Background, are_grey, as_grey
+from mocap.foreground.model import Background, are_grey, as_grey, calmed
 
 Bytes = NDArray[np.uint8]
 
@@ -263,6 +263,8 @@ class Segmenter:
         Raises ValueError for another shape than the background's.
         """
         self._check(image, protect)
+        if self._learnt.is_noisy:
+            image = calmed(image)
         if self._is_grey and not are_grey([image]):
             self._set_colours(is_grey=False)  # somebody in colour came into a grey room
         if self._is_grey:

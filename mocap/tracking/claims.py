@@ -573,7 +573,10 @@ def _apart(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> li
 
 
 def _add_fragments(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> None:
-    """Loose parts (a hand that the carving cut off) go to the nearest track within reach."""
+    """Loose parts go to the nearest track within reach: a hand that the carving cut off, or a trunk above its legs.
+
+    What is heavier and stands on the floor is somebody else.
+    """
     parts, settings = frame.parts, frame.settings
     owners = [t for t, c in claims.items() if len(c.voxels)]
     loose = np.flatnonzero(~is_taken & (parts.weight_kg >= settings.min_fragment_kg))
@@ -583,7 +586,10 @@ def _add_fragments(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.
     weight = np.array([claims[t].weight_kg for t in owners])
     reach = ellipsoid_distance(parts.centroid[loose], xyz, settings)
     nearest = np.argmin(reach, axis=0)
-    belongs = (reach.min(axis=0) <= settings.fragment_reach**2) & (parts.weight_kg[loose] < weight[nearest])
+    aside = np.linalg.norm(parts.centroid[loose, :2] - xyz[nearest, :2], axis=1)
+    is_trunk = (parts.lower[loose, 2] > _ON_FLOOR_M) & (aside <= _ASIDE_M)
+    belongs = reach.min(axis=0) <= settings.fragment_reach**2
+    belongs &= (parts.weight_kg[loose] < weight[nearest]) | is_trunk
     for i, t in enumerate(owners):
         mine = loose[belongs & (nearest == i)]
         if len(mine):

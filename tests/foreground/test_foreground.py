@@ -30,8 +30,10 @@ def wall(rng: np.random.Generator) -> np.ndarray:
     return cv2.resize(coarse, (W, H), interpolation=cv2.INTER_CUBIC)
 
 
-def photograph(scene: np.ndarray, rng: np.random.Generator, gain: float = 1.0) -> np.ndarray:
-    return np.clip(scene * gain + rng.normal(0.0, NOISE, scene.shape), 0, 255).astype(np.uint8)
+def photograph(
+    scene: np.ndarray, rng: np.random.Generator, gain: float = 1.0, noise: float = NOISE
+) -> np.ndarray:
+    return np.clip(scene * gain + rng.normal(0.0, noise, scene.shape), 0, 255).astype(np.uint8)
 
 
 def person_at(column: int) -> np.ndarray:
@@ -177,6 +179,23 @@ def test_long_clips_are_thinned_evenly_in_bounded_memory():
     )
     assert len(values) == 200
     assert 16 <= background.n_images <= 31
+
+
+@pytest.mark.parametrize("n_images", [1, 12])
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_hides_nobody(seed, n_images):
+    """Trousers that differ from the wall by 3 standard deviations of a picture taken with too little light."""
+    rng = np.random.default_rng(seed)
+    scene = wall(rng)
+    background = learn_background(photograph(scene, rng, noise=14.0) for _ in range(n_images))
+    assert background.is_noisy
+    assert not background.warnings  # nothing moves there
+    mask = person_at(50)
+    shown = with_person(scene, mask, (60.0, 80.0, 140.0))
+    shown[65:100, 50:70] = scene[65:100, 50:70] + (42.0, -42.0, -42.0)
+    answer = Segmenter(background, SETTINGS).segment(photograph(shown, rng, noise=14.0))
+    assert iou(answer.mask, mask) > MIN_IOU
+    assert not learn_background(photograph(scene, rng) for _ in range(n_images)).is_noisy
 
 
 def test_one_still_is_enough_but_not_none():

@@ -31,7 +31,7 @@ H, W, N = 96, 136, 40
 NOISE = 1.5
 
 
-def recording() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def recording(noise: float = NOISE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The empty wall, N pictures of somebody who sways by two pixels and waves, and his silhouettes."""
     rng = np.random.default_rng(11)
     wall = cv2.resize(rng.uniform(100, 130, (5, 7, 3)), (W, H), interpolation=cv2.INTER_CUBIC)
@@ -46,7 +46,7 @@ def recording() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         hand = (round(centre[0] + 34 * np.cos(arm)), round(40 + 34 * np.sin(arm)))
         cv2.line(mask, (centre[0], 40), hand, 1, 7)
         moved = np.roll(cloth, round(sway), axis=1)
-        picture = np.where(mask[:, :, None] > 0, moved, wall) + rng.normal(0, NOISE, (H, W, 3))
+        picture = np.where(mask[:, :, None] > 0, moved, wall) + rng.normal(0, noise, (H, W, 3))
         pictures.append(np.clip(picture, 0, 255).astype(np.uint8))
         silhouettes.append(mask > 0)
     return wall, np.array(pictures), np.array(silhouettes)
@@ -202,22 +202,22 @@ def test_shoes_that_every_cut_lacks_are_seen_before_the_floor_that_others_tell()
     np.testing.assert_array_equal(floor.mean[~region], background.mean[~region])
 
 
-@pytest.mark.parametrize("shade", [0.0, 0.2])
-def test_what_is_in_all_cuts_and_stands_still_is_a_thing(shade: float) -> None:
+@pytest.mark.parametrize(("shade", "noise"), [(0.0, NOISE), (0.2, NOISE), (0.0, 12.0), (0.2, 12.0)])
+def test_what_is_in_all_cuts_and_stands_still_is_a_thing(shade: float, noise: float) -> None:
     """Somebody in plain clothes who sways stays in the cuts; a table goes, in the shade of who walks by as well."""
     rng = np.random.default_rng(3)
-    _, pictures, silhouettes = recording()
+    _, pictures, silhouettes = recording(noise)
     table = np.zeros((H, W), dtype=np.bool_)
     table[60:80, 94:130] = True
     wood = cv2.resize(rng.uniform(60, 110, (4, 8, 3)), (36, 20), interpolation=cv2.INTER_NEAREST)
     falls = np.linspace(0.2, 1, 36)[None, :, None]  # one end lies deeper in it
     for i, picture in enumerate(pictures):
         shaded = wood * (1 - shade * falls * (1 + np.sin(0.7 * i)) / 2)
-        picture[60:80, 94:130] = np.clip(shaded + rng.normal(0, NOISE, wood.shape), 0, 255)
+        picture[60:80, 94:130] = np.clip(shaded + rng.normal(0, noise, wood.shape), 0, 255)
         if i % 6 < 2:  # he hides a part of it himself, another one every time
             picture[60:80, 94 + i // 2 : 104 + i // 2] = 200
         shirt = cv2.erode(silhouettes[i].astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        picture[shirt] = np.clip(65 + rng.normal(0, NOISE, (np.count_nonzero(shirt), 3)), 0, 255)
+        picture[shirt] = np.clip(65 + rng.normal(0, noise, (np.count_nonzero(shirt), 3)), 0, 255)
     keys = key_pictures(pictures)
     person = silhouettes.all(axis=0)
     np.testing.assert_array_equal(things_in(person | table, stirring_of(keys)), table)

@@ -17,7 +17,7 @@ from mocap.tracking import (
     track_clip,
     track_step,
 )
-from mocap.tracking.claims import _with_parts, claim_of, frame_of, part_claim
+from mocap.tracking.claims import _add_fragments, _with_parts, claim_of, frame_of, part_claim
 from mocap.tracking.features import components_of
 
 WALK = [
@@ -291,6 +291,22 @@ def test_claim_with_loose_parts_is_measured_as_a_whole():
     np.testing.assert_allclose(both.centroid, whole.centroid, atol=1e-12)
     for name, value in vars(whole.features).items():
         assert getattr(both.features, name) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("dx", "lower", "is_his"),
+    [(0.0, 0.85, True), (0.25, 0.85, True), (0.35, 0.3, False), (0.25, 0.0, False)],
+)
+def test_a_trunk_above_its_legs_is_the_rest_of_him(dx, lower, is_his):
+    """Legs that lost masks have cut off are lighter; what stands on the floor or hangs beside them is another's."""
+    legs = [box(-0.05, y, 0.05, 0.05, 0.0, 0.75) for y in (-0.1, 0.1)] + [box(-0.05, 0, 0.05, 0.1, 0.7, 0.75)]
+    frame = frame_of(observe([*legs, box(dx - 0.05, 0, 0.1, 0.2, lower, lower + 0.85)]), settings())
+    low, heavy = np.argsort(frame.parts.weight_kg)
+    assert frame.parts.weight_kg[heavy] > 2 * frame.parts.weight_kg[low]
+    claims, is_taken = {0: part_claim(frame, int(low))}, np.arange(2) == low
+    _add_fragments(frame, claims, is_taken)
+    assert len(claims[0].voxels) == (len(frame.voxels) if is_his else len(frame.parts.voxels(int(low))))
+    assert is_taken[heavy] == is_his
 
 
 def test_centres_and_groups_agree_with_numpy():
