@@ -184,9 +184,8 @@ def _statistics(samples: list[Image], kind: str) -> Background:
     if is_noisy := are_noisy(std):
         mean, std, moved = statistics_of(np.stack([calmed(image) for image in samples]), _FAR)
     # Single pixels are noise.
-    moving = float(
-        cv2.morphologyEx(moved.any(axis=2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))).mean()
-    )
+    pieces = cv2.morphologyEx(moved.any(axis=2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    moving = float(pieces.mean())
     return Background(
         mean, np.maximum(std, STD_FLOOR), len(samples), kind, moving,
         is_grey=are_grey(samples), is_noisy=is_noisy,
