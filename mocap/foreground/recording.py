@@ -40,8 +40,8 @@ _LEAST_NOISE = 0.2  # levels: pictures that are drawn have none
 # stand, in_place, gesture), furniture round which one to three walk 1.8 to 5.2 and one piece 5.7 (dev:furnished,
 # dev:room; decision 88).
 _LEAST_STIR = 5.5
-# Levels, of these recordings: who stays stirs by 5 to 9, furniture by 2 to 3, in noise as well (decision 126).
-_USUAL_NOISE = 0.8
+# Levels, the most of these recordings: who stays stirs by 5 to 9, furniture by 2 to 3, in noise as well (decision 126).
+_USUAL_NOISE = 1.0
 _STIRS = 0.9  # of what must stir: a shirt is plain, outlines and folds move
 _SHADE_PX = 11  # side of the square in which shade has one strength
 # Chairs, tables and cabinets beside people stir less than this, and so do middles of plain clothes; but of their edges
