@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -88,7 +88,9 @@ def learn_background(images: Iterable[Image]) -> Background:
     Source: CF 2.2.3 (statistical background learnt from an empty scene).
     """
     samples = thinned(images)
-    return _still(samples[0]) if len(samples) == 1 else _statistics(samples, "clip")
+    if len(samples) == 1:
+        return _calmed_if_noisy(lambda shown: _still(shown[0]), samples)
+    return _calmed_if_noisy(lambda shown: _statistics(shown, "clip"), samples)
 
 
 def median_background(images: Iterable[Image]) -> Background:
@@ -98,7 +100,7 @@ def median_background(images: Iterable[Image]) -> Background:
     background.
     """
     samples = thinned(images)
-    return _statistics(samples, "median")
+    return _calmed_if_noisy(lambda shown: _statistics(shown, "median"), samples)
 
 
 def empty_picture(background: Background) -> NDArray[np.uint8]:
@@ -179,17 +181,20 @@ def calmed(picture: Image) -> Image:
     return calm.astype(np.uint8, copy=False)
 
 
+def _calmed_if_noisy(learn: Callable[[list[Image]], Background], samples: list[Image]) -> Background:
+    """What is learnt of some pictures, or of the same pictures calmed if they are noisy."""
+    background = learn(samples)
+    if not are_noisy(background.std):
+        return background
+    return replace(learn([calmed(image) for image in samples]), is_noisy=True)
+
+
 def _statistics(samples: list[Image], kind: str) -> Background:
     mean, std, moved = statistics_of(np.stack(samples), _FAR)
-    if is_noisy := are_noisy(std):
-        mean, std, moved = statistics_of(np.stack([calmed(image) for image in samples]), _FAR)
     # Single pixels are noise.
     pieces = cv2.morphologyEx(moved.any(axis=2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     moving = float(pieces.mean())
-    return Background(
-        mean, np.maximum(std, STD_FLOOR), len(samples), kind, moving,
-        is_grey=are_grey(samples), is_noisy=is_noisy,
-    )  # fmt: skip
+    return Background(mean, np.maximum(std, STD_FLOOR), len(samples), kind, moving, is_grey=are_grey(samples))
 
 
 def statistics_of(
@@ -206,18 +211,7 @@ def statistics_of(
 
 def _still(image: Image) -> Background:
     """Noise from the median absolute deviation of the picture from its own 3 x 3 median, per channel."""
-    noise = _noise_of(image)
-    shown = image
-    if is_noisy := are_noisy(noise):
-        shown = calmed(image)
-        noise = _noise_of(shown)
-    std = np.broadcast_to(np.maximum(noise, _STILL_STD_FLOOR).astype(np.float32), image.shape).copy()
-    return Background(
-        shown.astype(np.float32), std, 1, "still", 0.0, is_grey=are_grey([image]), is_noisy=is_noisy
-    )
-
-
-def _noise_of(image: Image) -> NDArray[np.float32]:
-    """Standard deviation of each channel from its fine structure, (3,)."""
     fine = image.astype(np.float32) - cv2.medianBlur(image, 3)
-    return np.asarray(np.median(np.abs(fine), axis=(0, 1)) / 0.6745)
+    noise = np.median(np.abs(fine), axis=(0, 1)) / 0.6745
+    std = np.broadcast_to(np.maximum(noise, _STILL_STD_FLOOR).astype(np.float32), image.shape).copy()
+    return Background(image.astype(np.float32), std, 1, "still", 0.0, is_grey=are_grey([image]))
