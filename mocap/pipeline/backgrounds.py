@@ -43,7 +43,6 @@ from mocap.volume import Floor, FloorPlaces, Guess, Witness, choose_grid
 _LEAST_FRAMES = 3
 _LEAST_CAMERAS = 3  # two are no witnesses of what one of them takes for the room (decision 99)
 _VOXEL_M = 0.03
-_LEAST_THING_PX = 150  # of a picture of the working size: less says of no thing where it is
 _OWN_CHANGE = 0.1  # of a piece: so much of a thing does not change in nearly all cameras at once
 _SEAT = 0.5  # of a piece: so much of a chair does change, where somebody sits down on it
 _A_SAY = 0.3  # of a piece: so much of it as the others have, as a person or as a thing, decides; furniture hides legs
@@ -207,15 +206,10 @@ def standing_things(
     # What goes from some cameras may have been what others agreed with.
     held = _agreed(_nobody_floats(_agreed(held, witness), cuts, witness, hands_only=False), witness)
     things = [found | more for found, more in zip(things, held, strict=True)]
-    # Somebody who is always before a thing, or behind it, is one piece with it: others say where each of them is.
+    # Somebody who is always before a thing, or behind it, is one piece with it in one camera: two others say where the
+    # thing is, and nearly all where he is.
     rest = _beside(always, things)
-    is_told = [np.count_nonzero(found) > _LEAST_THING_PX for found in things]
-    thing, person = (
-        witness.agreed(
-            [part if told else own for told, part, own in zip(is_told, parts, always, strict=True)]
-        )
-        for parts in (things, rest)
-    )
+    thing, person = witness.in_some(things, _MUST_AGREE - 1), witness.agreed(rest)
     alone = [own & a & ~b for own, a, b in zip(rest, thing, person, strict=True)]
     return [found | more for found, more in zip(things, each(still_pieces_in, alone, stirring), strict=True)]
 

@@ -143,25 +143,27 @@ class Witness:
         """Whoever hangs in the air once things are gone, with what holds him up, (H, W) bool per camera.
 
         A person of whom a hand alone is left, or all but his legs, has had his body taken for a thing; who walks round
-        a thing, or sits on it, has his feet on the floor.
+        a thing, or sits on it, has his feet on the floor, and what is left of the legs of a chair stands there as well.
         cuts, things : (H, W) bool per camera, of one instant.  hands_only : nobody of whom as much as a person is left;
         furniture before him may have hidden his legs.
         """
         whole = self._carver.carve(cuts, n_faulty_views=self._tolerance)
         # Things lack the rim of what they are, which would go on to hold him up.
         rest = [cut & ~_wider(thing, _THING_RIM_PX) for cut, thing in zip(cuts, things, strict=True)]
-        left = np.intersect1d(whole, self._carver.carve(rest, n_faulty_views=self._tolerance))
+        left = np.intersect1d(whole, self._carver.carve(rest, n_faulty_views=self._tolerance)).astype(
+            np.int32
+        )
         labels, n = connected_components(whole, self.grid)
         piece_of = np.full(np.prod(self.grid.shape), -1, dtype=np.int32)
         piece_of[whole] = labels
-        persons = self._persons(left.astype(np.int32))
-        own, n_persons = connected_components(persons, self.grid)
-        lowest = np.full(n_persons, np.inf)
-        np.minimum.at(lowest, own, self.grid.centers(persons)[:, 2])
-        hangs = self._litres(piece_of[left], n) >= _HAND_LITRES
-        stands = np.full(n_persons, hands_only) | (lowest <= _FOOT_M)
-        hangs[piece_of[persons[stands[own]]]] = False
-        columns = self.grid.dense(left[hangs[piece_of[left]]].astype(np.int32)).any(axis=2).astype(np.uint8)
+        part, n_parts = connected_components(left, self.grid)
+        lowest = np.full(n_parts, np.inf)
+        np.minimum.at(lowest, part, self.grid.centers(left)[:, 2])
+        is_in_air = (lowest > _FOOT_M)[part]
+        hangs = self._litres(piece_of[left[is_in_air]], n) >= _HAND_LITRES
+        is_person = np.isin(left, self._persons(left), assume_unique=True)
+        hangs[piece_of[left[is_person & (hands_only | ~is_in_air)]]] = False
+        columns = self.grid.dense(left[is_in_air & hangs[piece_of[left]]]).any(axis=2).astype(np.uint8)
         near = cv2.dilate(columns, _disc(round(_BODY_REACH_M / self.grid.voxel_size_m))) > 0
         return self._seen(
             np.flatnonzero((self.grid.dense(whole) & near[:, :, None]).ravel()).astype(np.int32)

@@ -237,6 +237,21 @@ def test_who_keeps_still_within_outlines_that_move_is_no_thing(rows_moving: int,
     assert not things_in(trunk, stirring + 3).any()
 
 
+@pytest.mark.parametrize(
+    ("rows", "columns", "is_thing"),
+    [((35, 65), (58, 72), True), ((25, 48), (50, 62), False), ((25, 30), (50, 62), True)],
+)
+def test_along_the_outline_of_a_thing_nothing_stirs(
+    rows: tuple[int, int], columns: tuple[int, int], is_thing: bool
+) -> None:
+    """Somebody passes again and again before the middle of a table, stays at one end of it, or brushes past."""
+    table = np.zeros((H, W), dtype=np.bool_)
+    table[20:80, 50:80] = True
+    stirring = np.full((H, W), 2, dtype=np.float32)
+    stirring[slice(*rows), slice(*columns)] = 9
+    np.testing.assert_array_equal(things_in(table, stirring), table & is_thing)
+
+
 def test_a_chair_keeps_its_edges_and_a_plain_shirt_does_not() -> None:
     """Both are one piece, and the middle of the shirt keeps as still as the chair."""
     rng = np.random.default_rng(5)

@@ -315,6 +315,25 @@ def test_others_say_where_a_thing_ends_and_who_is_beside_it_begins(
     assert seeing != (0,) or gone[0] > 0.85
 
 
+@pytest.mark.parametrize("telling", [(1, 2), (1,)])
+def test_two_cameras_tell_a_third_what_stands_behind_somebody(telling: Sequence[int]) -> None:
+    """Shade keeps a cupboard in all cuts of these; the others have it free now and then."""
+    rig, rng = make_rig(), np.random.default_rng(4)
+    cupboards = box_silhouettes(rig, (-0.5, -0.4, 0.0), (0.5, 0.4, 1.1), 0.03)
+    body = box_silhouettes(rig, (0.9, -0.2, 0.0), (1.2, 0.1, 1.7), 0.03)
+    persons = [grown(seen, 3) for seen in body]
+    assert (cupboards[0] & persons[0]).any()
+    keys = [seen_over_a_clip(person, rng) for person in persons]
+    cuts = [
+        [seen | (thing & (c in (0, *telling) or k % 2 == 0)) for k in range(12)]
+        for c, (thing, seen) in enumerate(zip(cupboards, body, strict=True))
+    ]
+    things = standing_things(cuts, keys, Witness(rig, ROOM, [own[0] for own in cuts]))
+    beside = cupboards[0] & ~grown(persons[0], 3)
+    assert (things[0][beside].mean() > 0.8) == (len(telling) == 2)
+    assert not any((found & ~grown(thing, 2)).any() for found, thing in zip(things, cupboards, strict=True))
+
+
 def plain(masks: Sequence[np.ndarray], colours: Sequence[int], rng: np.random.Generator) -> KeyPictures:
     """Twelve pictures of noise, in which masks (H, W) bool have one grey each: who wears it holds still."""
     pictures = rng.normal(100, 2, (len(masks), *masks[0].shape, 3))

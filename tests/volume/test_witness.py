@@ -246,6 +246,23 @@ def test_of_whom_a_hand_is_left_had_his_body_taken() -> None:
         assert found[case & ~grown(body, 12)].mean() < 0.2
 
 
+@pytest.mark.parametrize(("lifted_m", "hangs"), [(0.0, False), (0.3, True)])
+def test_legs_of_a_chair_are_no_hand(lifted_m: float, hangs: bool) -> None:
+    """Its back keeps still in two cameras of six, and below that some of it is left: it stands on the floor."""
+    rig = ring_rig()
+    back, legs = (
+        box_silhouettes(rig, low, high, 0.02)
+        for low, high in (
+            ((0.0, 0.0, lifted_m + 0.3), (0.3, 0.3, 0.9)),
+            ((0.0, 0.0, lifted_m), (0.15, 0.1, lifted_m + 0.3)),
+        )
+    )
+    cuts = [a | b for a, b in zip(back, legs, strict=True)]
+    things = [(a & ~b) & (i in (1, 3)) for i, (a, b) in enumerate(zip(back, legs, strict=True))]
+    found = Witness(rig, ROOM, cuts).carrying(cuts, things, hands_only=True)
+    assert any(part.any() for part in found) == hangs
+
+
 def test_who_has_his_feet_on_the_floor_needs_no_more(witness: Witness, silhouettes: list[np.ndarray]) -> None:
     """Nothing is taken from him; or one camera of six has a thing where his legs are, and five see them."""
     nothing = [np.zeros_like(person) for person in silhouettes]
