@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -315,7 +316,7 @@ def test_others_say_where_a_thing_ends_and_who_is_beside_it_begins(
     assert seeing != (0,) or gone[0] > 0.85
 
 
-@pytest.mark.parametrize("telling", [(1, 2), (1,)])
+@pytest.mark.parametrize("telling", [(1, 4), (1,)])
 def test_two_cameras_tell_a_third_what_stands_behind_somebody(telling: Sequence[int]) -> None:
     """Shade keeps a cupboard in all cuts of these; the others have it free now and then."""
     rig, rng = make_rig(), np.random.default_rng(4)
@@ -324,13 +325,17 @@ def test_two_cameras_tell_a_third_what_stands_behind_somebody(telling: Sequence[
     persons = [grown(seen, 3) for seen in body]
     assert (cupboards[0] & persons[0]).any()
     keys = [seen_over_a_clip(person, rng) for person in persons]
+    # It falls on so much of it that nothing says which edges are its own.
+    shade = rng.normal(0, 11, (12, *body[0].shape, 1)) * cupboards[0][..., None]
+    keys[0] = replace(keys[0], pictures=(keys[0].pictures + shade).clip(0, 255).astype(np.uint8))
     cuts = [
         [seen | (thing & (c in (0, *telling) or k % 2 == 0)) for k in range(12)]
         for c, (thing, seen) in enumerate(zip(cupboards, body, strict=True))
     ]
     things = standing_things(cuts, keys, Witness(rig, ROOM, [own[0] for own in cuts]))
     beside = cupboards[0] & ~grown(persons[0], 3)
-    assert (things[0][beside].mean() > 0.8) == (len(telling) == 2)
+    # On one side of him; on the other most of it lies where he stirs.
+    assert things[0][beside].mean() > 0.3 if len(telling) == 2 else not things[0].any()
     assert not any((found & ~grown(thing, 2)).any() for found, thing in zip(things, cupboards, strict=True))
 
 
