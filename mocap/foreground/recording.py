@@ -249,7 +249,7 @@ def things_in(always: Mask, stirring: NDArray[np.float32]) -> Mask:
     nothing does.  stirring : (h, w) of the same camera, see `stirring_of`.
     """
     outline = always & ~(cv2.erode(always.astype(np.uint8), _disc(_EDGE_PX)) > 0)
-    still = _pieces_below(always, np.where(outline, stirring, np.nan), _OUTLINE_STIRS)
+    still = _pieces_below(always, outline, stirring, _OUTLINE_STIRS)
     n, labels = cv2.connectedComponents(still.astype(np.uint8), connectivity=8)
     is_thing = _held_share(still, labels, n, ~always & (stirring < _STILL)) >= _ALL_HELD
     return np.asarray(is_thing[labels]) & still
@@ -257,13 +257,14 @@ def things_in(always: Mask, stirring: NDArray[np.float32]) -> Mask:
 
 def still_pieces_in(mask: Mask, stirring: NDArray[np.float32]) -> Mask:
     """The connected pieces of a mask that keep still, (h, w) bool.  stirring : as of things_in."""
-    return _pieces_below(mask, stirring, _LEAST_STIR)
+    return _pieces_below(mask, mask, stirring, _LEAST_STIR)
 
 
-def _pieces_below(mask: Mask, stirring: NDArray[np.float32], limit: float) -> Mask:
-    """The connected pieces of a mask of which nine tenths stir less.  stirring : NaN = does not count."""
+def _pieces_below(mask: Mask, asked: Mask, stirring: NDArray[np.float32], limit: float) -> Mask:
+    """The connected pieces of a mask of which nine tenths of what is asked stir less; none where nothing is."""
     n, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
-    is_still = [False] + [bool(np.nanquantile(stirring[labels == i], _STIRS) < limit) for i in range(1, n)]
+    parts = [stirring[asked & (labels == i)] for i in range(1, n)]
+    is_still = [False] + [part.size > 0 and bool(np.quantile(part, _STIRS) < limit) for part in parts]
     return np.asarray(np.array(is_still)[labels])
 
 

@@ -277,8 +277,11 @@ def test_a_chair_keeps_its_edges_and_a_plain_shirt_does_not() -> None:
     assert not held_things_in(person | chair, moving).any()
 
 
-def test_where_nobody_stays_is_no_thing() -> None:
-    assert not things_in(np.zeros((H, W), dtype=np.bool_), stirring_of(key_pictures(recording()[1]))).any()
+@pytest.mark.parametrize("covered", [False, True])
+def test_where_nobody_stays_or_nothing_is_beside_him_is_no_thing(covered: bool) -> None:
+    """What fills a picture from border to border has no outline."""
+    always = np.full((H, W), covered)
+    assert not things_in(always, stirring_of(key_pictures(recording()[1]))).any()
 
 
 def test_changes_are_other_colours_and_no_shade() -> None:
