@@ -248,8 +248,7 @@ def things_in(always: Mask, stirring: NDArray[np.float32]) -> Mask:
     middle of a table is often somebody else; but somewhere along his outline everybody sways, and along that of a thing
     nothing does.  stirring : (h, w) of the same camera, see `stirring_of`.
     """
-    outline = always & ~(cv2.erode(always.astype(np.uint8), _disc(_EDGE_PX)) > 0)
-    still = _pieces_below(always, outline, stirring, _OUTLINE_STIRS)
+    still = _pieces_below(always, _rim(always, _EDGE_PX), stirring, _OUTLINE_STIRS)
     n, labels = cv2.connectedComponents(still.astype(np.uint8), connectivity=8)
     is_thing = _held_share(still, labels, n, ~always & (stirring < _STILL)) >= _ALL_HELD
     return np.asarray(is_thing[labels]) & still
@@ -283,7 +282,7 @@ def held_things_in(always: Mask, stirring: NDArray[np.float32]) -> Mask:
 
 def _held_share(pieces: Mask, labels: NDArray[np.int32], n: int, calm: Mask) -> NDArray[np.float64]:
     """How much of the edges of each of n labelled pieces lies beside what is calm, (n,)."""
-    edges = pieces & ~(cv2.erode(pieces.astype(np.uint8), _disc(1)) > 0)
+    edges = _rim(pieces, 1)
     held = edges & (cv2.dilate(calm.astype(np.uint8), _disc(_EDGE_PX)) > 0)
     n_edges, n_held = (np.bincount(labels[part], minlength=n) for part in (edges, held))
     return np.asarray(n_held / np.maximum(n_edges, 1))
@@ -384,6 +383,11 @@ def _without_holes(mask: Mask, most_px: float) -> Mask:
     fill = inner & (area <= most_px)
     fill[0] = False
     return mask | fill[labels]
+
+
+def _rim(mask: Mask, px: int) -> Mask:
+    """What of a mask lies so near to its edge; the border of the picture is none."""
+    return mask & ~(cv2.erode(mask.astype(np.uint8), _disc(px)) > 0)
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

@@ -150,9 +150,7 @@ class Witness:
         whole = self._carver.carve(cuts, n_faulty_views=self._tolerance)
         # Things lack the rim of what they are, which would go on to hold him up.
         rest = [cut & ~_wider(thing, _THING_RIM_PX) for cut, thing in zip(cuts, things, strict=True)]
-        left = np.intersect1d(whole, self._carver.carve(rest, n_faulty_views=self._tolerance)).astype(
-            np.int32
-        )
+        left = np.intersect1d(whole, self._carver.carve(rest, n_faulty_views=self._tolerance))
         labels, n = connected_components(whole, self.grid)
         piece_of = np.full(np.prod(self.grid.shape), -1, dtype=np.int32)
         piece_of[whole] = labels
