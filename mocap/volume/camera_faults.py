@@ -65,6 +65,7 @@ _LASTING_FRAMES = 25  # a lag or a misfit that fewer frames tell of is no fault 
 _JOIN_FRAMES = 8  # stretches closer than this are one
 # A lag explains a stretch when it leaves at most this share of what no lag leaves.
 _LAG_LEAVES = 0.3
+_DRIFT_PER_FRAME = 0.7  # a clip of half the rate drifts by half a frame
 _SHIFT_LEAVES = 0.5
 _SAME_TIME_FRAMES = 3
 _SHARPEN_FRAMES = 12
@@ -400,6 +401,10 @@ def _doubted(evidence: SilhouetteEvidence, unexplained: Array) -> list[CameraFau
                 # Its mask holds what the hull of the others lacks: somebody whom too few of them see. What it holds
                 # too much takes nothing from the volume; without it, of few cameras, a person loses his shape.
                 continue
+            # Pictures that a file has lost do not come back, nor does a clock that drifts.
+            is_for_good = fault.lag_frames < 0 or fault.kind == "rate"
+            if is_for_good and _is_in_time(unexplained[stop:, c], int(states[-1]), usual):
+                continue
             # Who comes in is seen by one camera first, and by the hull a few frames later; who leaves, by one last.
             # No lag.
             told = (evidence.frames >= fault.first_frame) & (evidence.frames <= fault.last_frame)
@@ -510,11 +515,23 @@ def _diagnose(
     return _fault(evidence, c, "misfit", first, stop)
 
 
+def _is_in_time(unexplained: Array, state: int, usual: float) -> bool:
+    """Whether frames tell that a camera is in time, and not at the lag of a state of `fit_states`."""
+    if state >= unexplained.shape[1]:
+        return False
+    return float(np.nansum(unexplained[:, state] - unexplained[:, MAX_LAG_FRAMES])) > _MIN_GAIN * usual
+
+
 def _is_drift(states: NDArray[np.int64]) -> bool:
-    """Whether the lag begins small and grows step by step."""
-    lags = [int(s) - MAX_LAG_FRAMES for s, _, _ in _pieces(states) if s <= 2 * MAX_LAG_FRAMES]
-    steps = np.diff(lags) * np.sign(lags[-1] if lags else 0)
-    return len(lags) >= 3 and abs(lags[0]) <= 2 and bool(np.all((steps > 0) & (steps <= 2)))
+    """Whether the lag begins small and grows step by step, slower than the time goes: it grows as fast where of one
+    moment alone the hull holds what the masks show."""
+    pieces = [(int(s) - MAX_LAG_FRAMES, first) for s, first, _ in _pieces(states) if s <= 2 * MAX_LAG_FRAMES]
+    if len(pieces) < 3:
+        return False
+    lags, begin = np.array(pieces).T
+    steps = np.diff(lags) * np.sign(lags[-1])
+    is_slow = abs(lags[-1] - lags[0]) < _DRIFT_PER_FRAME * (begin[-1] - begin[0])
+    return abs(lags[0]) <= 2 and bool(is_slow and np.all((steps > 0) & (steps <= 2)))
 
 
 def _of_states(unexplained: Array, states: NDArray[np.int64]) -> float:

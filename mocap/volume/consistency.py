@@ -49,7 +49,9 @@ _BURST_FRAMES, _MAX_BURSTS = 48, 8
 _MAX_OUTLINES = 48  # frames of them that are looked at: as many as `mocap check` takes
 # Of a volume, at the room's side: less is a hand, or the corner of what few cameras leave of the rays.
 _CUT_SHARE = 0.02
-_LEAST_PART = 0.1  # of the largest part of a volume; smaller ones are no person
+# Of the largest part of a volume; smaller ones are no person, but what hangs between the rays of two persons behind
+# tables: up to 0.15. A child of 1.1 m has 0.22 of a man's volume.
+_LEAST_PART = 0.2
 # Of a clock that counts frames: what smooths curves is measured for pictures of about this rate.
 FRAME_S = 1 / 30
 

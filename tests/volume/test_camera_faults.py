@@ -33,7 +33,7 @@ from mocap.volume import (
     find_late,
     usable_cameras,
 )
-from mocap.volume.camera_faults import background_shift, fit_states
+from mocap.volume.camera_faults import _is_drift, background_shift, fit_states
 from mocap.volume.consistency import FRAME_S, MAX_LAG_FRAMES, SHRINK, SilhouetteEvidence, Snapshot
 
 T, C, SIZE = 64, 7, (320, 240)
@@ -215,6 +215,25 @@ def test_a_lag_at_the_end_that_the_tighter_hull_contradicts_is_none() -> None:
     strict[:, 2, MAX_LAG_FRAMES] = 0.0
     found = find_camera_faults(replace(evidence, uncovered=uncovered, strict=strict))
     assert "lag" not in {fault.kind for fault in found}
+
+
+def test_pictures_that_were_lost_do_not_come_back() -> None:
+    """Early for a second and then in time no camera can be: the hull of the others was wrong for as long."""
+    start, stop = 12, T - MAX_LAG_FRAMES - 12
+    masks = clean()
+    masks[2] = [walk()[2][f + 5] if start <= f < stop else m for f, m in enumerate(masks[2])]
+    assert find(masks) == ()
+    masks[2] = [walk()[2][f + 5] if start <= f else m for f, m in enumerate(masks[2])]
+    (fault,) = find(masks)
+    assert (fault.camera, fault.kind, fault.lag_frames) == ("cam_2", "lag", -5)
+
+
+@pytest.mark.parametrize(("frames_each", "drifts"), [(4, True), (2, True), (1, False)])
+def test_a_clock_runs_away_slower_than_the_time_goes(frames_each: int, drifts: bool) -> None:
+    """Frame by frame the lag grows where of one moment alone the hull holds what the masks show."""
+    lags = np.repeat(np.arange(1, MAX_LAG_FRAMES + 1), frames_each)
+    states = np.concatenate([MAX_LAG_FRAMES + lags, np.full(9, 2 * MAX_LAG_FRAMES + 1)])
+    assert _is_drift(states) == drifts
 
 
 def test_a_lag_from_the_start_is_told_as_such() -> None:

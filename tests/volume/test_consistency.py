@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from mocap.data import VoxelGrid
 from mocap.volume import _kernels
-from mocap.volume.consistency import _Spread
+from mocap.volume.consistency import _Spread, _whole_in_room
 
 C, H, W = 3, 24, 31
 Cells = np.ndarray
@@ -103,3 +104,19 @@ def test_what_is_kept_of_a_clip_is_the_same_when_its_length_is_known(n: int) -> 
         knowing.add(lambda i=i: make(i))
     assert knowing.items == plain.items == made
     assert 1 <= len(made) < 8
+
+
+@pytest.mark.parametrize(("share", "stays"), [(0.15, False), (0.25, True)])
+def test_of_a_volume_that_the_room_cuts_stays_what_may_be_a_person(share: float, stays: bool) -> None:
+    """Two persons at the room's sides, and a child, or what hangs between their rays, in the middle."""
+    grid = VoxelGrid.from_bounds(np.array([-2.0, -2.0, 0.0]), np.array([2.0, 2.0, 2.0]), 0.05)
+    filled = np.zeros(grid.shape, dtype=np.bool_)
+    filled[:8, 20:30, :35] = filled[-8:, 40:48, :35] = True
+    middle = np.zeros_like(filled)
+    middle[35:45, 35:42, : round(share * 8 * 10 * 35 / 70)] = True
+    voxels = np.flatnonzero(filled | middle).astype(np.int32)
+    whole = np.flatnonzero(middle) if stays else []
+    np.testing.assert_array_equal(_whole_in_room(voxels, grid), whole)
+    np.testing.assert_array_equal(
+        _whole_in_room(voxels[np.isin(voxels, np.flatnonzero(middle))], grid), np.flatnonzero(middle)
+    )
