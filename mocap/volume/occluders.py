@@ -51,6 +51,9 @@ _FREE_PER_BLOCKED = 9  # at least nine votes of ten: silhouettes have frayed edg
 _STEP_M = 0.05
 # Who walks about says better than the floor where things begin and end: from so many squares in which somebody was.
 _SQUARE_M, _SQUARES_WALKED = 0.4, 8
+# Who is in a place for half of the time stays there; who walks round a room is for a fifth of it in any place. His
+# limbs reach so far from the middle of him.
+_STAYS_SHARE, _REACH_M = 0.5, 0.4
 # Who stays gives evidence again after so many looks: what is never seen of him cannot be judged.
 AGAIN_LOOKS = 6
 _PERSON_LITRES = 20.0
@@ -99,6 +102,8 @@ class OccluderLearner:
         self.n_blocked = np.zeros((len(rig), self._space.n_voxels), dtype=np.uint16)
         self._places, self._looked = np.zeros((0, 12)), np.zeros(0, dtype=np.int64)
         self._n_looks = 0
+        # Looks in which somebody was surely over each place of the floor.
+        self._n_over = np.zeros(self._carver.grid.shape[:2], dtype=np.uint16)
         # Frames that have said something, and of each camera those of them in which it was odd.
         self._n_telling, self._n_odd = 0, np.zeros(len(rig), dtype=np.int64)
         self._was_blocked = [np.zeros(camera.size[::-1], dtype=np.uint8) for camera in self._rig]
@@ -127,6 +132,8 @@ class OccluderLearner:
         is_sure = is_core & self._is_needed(masks, squares, sees, objects.sum(axis=0))
         for below in self._cut_off(voxels, is_sure & (objects.sum(axis=0) <= self._n_usual)):
             self._vote_of_legs(cells, below)
+        columns = np.unique(grid.subscripts(voxels[is_sure])[:, :2], axis=0)
+        self._n_over[tuple(columns.T)] += 1
         is_sure &= is_new
         if not is_sure.any():
             return False
@@ -164,21 +171,33 @@ class OccluderLearner:
         n_blocked = np.where(has_moved[:, None], np.uint16(0), self.n_blocked)
         solid = solid_voxels(self._space, self.n_free, n_blocked)
         squares = _squares(self._rig, self._space.centers(solid), self._space.voxel_size_m)
+        things = _squares(self._rig, self.things, VOXEL_M)
         squares_walked = len(np.unique(np.floor(self._places[:, :2] / _SQUARE_M), axis=0))
-        known = self.things if squares_walked < _SQUARES_WALKED else self.things[:0]
-        things = _squares(self._rig, known, VOXEL_M)
+        stay = None if squares_walked < _SQUARES_WALKED else _squares(self._rig, self._who_stays(), VOXEL_M)
         has_blocked = n_blocked[:, solid] > 0
         is_crossed = np.count_nonzero(has_blocked, axis=0) >= _CROSSING
         maps = {}
         for c, (camera, seen) in enumerate(zip(self._rig, self._seen_m, strict=True)):
             told, own = squares.nearest(c, is_crossed), squares.nearest(c, has_blocked[c], beyond=seen[1])
             told[told < seen[1]] = np.inf
-            stands = things.nearest(c, np.ones(len(known), dtype=np.bool_))
+            stands = things.nearest(c)
             stands[np.isfinite(seen[1])] = np.inf
+            if stay is not None:
+                somebody = stay.nearest(c)
+                stands[~np.isfinite(somebody) | (stands > somebody + _REACH_M)] = np.inf
             # Voxels near a camera are larger than the cells in which it knows something.
             own[cv2.dilate(self._was_blocked[c], np.ones((3, 3), np.uint8)) == 0] = np.inf
             maps[camera.name] = np.minimum(np.minimum(told, own), stands)
         return Occluders(maps, CELL_PX)
+
+    def _who_stays(self) -> Array:
+        """Points (N, 3) m, a voxel apart, of where those who keep to their places may be."""
+        grid = self._carver.grid
+        stays = (self._n_over > 0) & (self._n_over >= _STAYS_SHARE * self._n_looks)
+        reach = round(_REACH_M / grid.voxel_size_m)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+        columns = cv2.dilate(stays.view(np.uint8), disc) > 0
+        return grid.centers(np.flatnonzero(np.broadcast_to(columns[:, :, None], grid.shape)).astype(np.int32))
 
     def _vote(self, c: int, near: DepthMap, verdict: Cells) -> None:
         """Count a camera's verdicts (h, w) on what lies before the depths (h, w) m of somebody."""
@@ -377,11 +396,15 @@ class _Squares:
     depth: NDArray[np.float32]
     sizes: tuple[tuple[int, int], ...]
 
-    def nearest(self, c: int, is_painted: NDArray[np.bool_], beyond: DepthMap | None = None) -> DepthMap:
-        """Depth (h, w) m of the nearest of some cubes (N,) bool in camera c; inf where there is none.
+    def nearest(
+        self, c: int, is_painted: NDArray[np.bool_] | None = None, beyond: DepthMap | None = None
+    ) -> DepthMap:
+        """Depth (h, w) m of the nearest of some cubes (N,) bool in camera c, None = all; inf where there is none.
 
         beyond : (h, w) m, which those that count exceed; None = all count.
         """
+        if is_painted is None:
+            is_painted = np.ones(self.depth.shape[1], dtype=np.bool_)
         near = np.full(self.sizes[c][::-1], np.inf, dtype=np.float32)
         floor = np.full_like(near, -np.inf) if beyond is None else beyond
         kernels.paint_nearest(self.cell[c], self.depth[c], self.half[c], is_painted, floor, near)

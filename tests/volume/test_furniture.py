@@ -7,7 +7,19 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from test_floor import LIGHT, tiles
-from test_occluders import BLOCK, BOX, ROOM, SIZE, hit_box, hit_cylinder, path, pictures, rays_of, ring_rig
+from test_occluders import (
+    BLOCK,
+    BOX,
+    CABINET,
+    ROOM,
+    SIZE,
+    hit_box,
+    hit_cylinder,
+    path,
+    pictures,
+    rays_of,
+    ring_rig,
+)
 
 from mocap.data import CameraRig
 from mocap.volume import OccluderLearner, masks_by_cells, things_on_floor
@@ -15,6 +27,9 @@ from mocap.volume.occluders import VOXEL_M, painted
 
 WOOD = (70.0, 60.0, 160.0)
 MAT_AT, MAT_M = np.array([-0.6, 0.4]), 0.5
+# Somebody keeps to his place behind it, where others do not come.
+LEDGE, STAYS_AT = np.array([[-1.4, -1.15, 0.0], [-0.6, -1.0, 0.9]]), np.array([-1.0, -0.75])
+SHELF = np.array([[-1.4, 0.1, 0.0], [-0.6, 0.2, 1.2]])  # beyond his reach on the other side
 
 
 def empty(i: int, *boxes: np.ndarray, floor: Callable[[np.ndarray], np.ndarray] = tiles) -> np.ndarray:
@@ -129,3 +144,51 @@ def test_who_walks_about_says_better() -> None:
     assert not plain.occluders().is_empty
     for name, depth in plain.occluders().depth_m.items():
         np.testing.assert_array_equal(told.occluders().depth_m[name], depth)
+
+
+def seen(i: int, *places: np.ndarray, box: np.ndarray | None = LEDGE) -> np.ndarray:
+    """Mask (H, W) of camera i of persons at places (2,), behind a box."""
+    eye, rays = rays_of(i)
+    nearest = np.min([hit_cylinder(eye, rays, at) for at in places], axis=0)
+    return (nearest < (np.inf if box is None else hit_box(eye, rays, box))).reshape(SIZE[::-1])
+
+
+@pytest.mark.parametrize("stays", [True, False])
+def test_the_floor_tells_what_stands_before_who_stays_though_others_walk(stays: bool) -> None:
+    """And nothing of the same things where nobody stays: there who walks says better."""
+    ledge, far_off = cubes(LEDGE), cubes(CABINET)
+    learner = OccluderLearner(ring_rig(), ROOM)
+    learner.things = np.vstack([ledge, far_off, cubes(SHELF)])
+    for k, at in enumerate(path(60)):
+        together = (at, STAYS_AT) if stays or k % 3 == 0 else (at,)
+        learner.add(masks_by_cells([seen(i, *together) for i in range(6)]))
+    learner.n_blocked[:] = 0  # what people tell themselves
+    known, cabinet = learner.occluders().depth_m, painted(ring_rig(), far_off, VOXEL_M).depth_m
+    legs, of_legs, beside, of_cabinet = 0, 0, 0, 0
+    for i, camera in enumerate(ring_rig()):
+        hides = np.isfinite(known[camera.name])
+        lost = masks_by_cells([seen(i, STAYS_AT, box=None) & ~seen(i, STAYS_AT)])[0] == 2
+        middle_m = camera.R[2] @ [*STAYS_AT, 0.9] + camera.t[2]
+        assert not (known[camera.name][hides] > middle_m + 0.7).any()
+        legs, of_legs = legs + int(lost.sum()), of_legs + int((lost & hides).sum())
+        far = np.isfinite(cabinet[camera.name]) & ~near_who_stays(i)
+        beside, of_cabinet = beside + int(far.sum()), of_cabinet + int((far & hides).sum())
+    assert legs > 50
+    assert beside > 500
+    assert of_cabinet == 0
+    assert (of_legs > 0.8 * legs) if stays else of_legs == 0
+
+
+def cubes(box: np.ndarray) -> np.ndarray:
+    """Middles (N, 3) m of cubes that fill a box."""
+    axes = [np.arange(lower, upper, VOXEL_M) + 0.5 * VOXEL_M for lower, upper in box.T]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def near_who_stays(i: int) -> np.ndarray:
+    """Cells (h, w) in which somebody at an arm's length round STAYS_AT, with arms raised, may be seen by camera i."""
+    turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    about = STAYS_AT + 0.5 * np.column_stack([np.cos(turns), np.sin(turns)])
+    near = np.logical_or.reduce([seen(i, at, box=None) for at in about])
+    raised = near | np.roll(near, -16, axis=0)  # by 0.3 m at the least
+    return masks_by_cells([raised])[0] > 0
