@@ -228,6 +228,21 @@ def test_pictures_that_were_lost_do_not_come_back() -> None:
     assert (fault.camera, fault.kind, fault.lag_frames) == ("cam_2", "lag", -5)
 
 
+@pytest.mark.parametrize("jumps", [True, False])
+def test_where_pictures_were_lost_people_are_elsewhere_all_at_once(jumps: bool) -> None:
+    """As it was not of two persons before four cameras, of whom the hull of later frames held more."""
+    monitor = ConsistencyMonitor(RIG, GRID)
+    for f in range(T):
+        monitor.add(FIRST + f, [camera[f] for camera in clean()])
+    evidence = monitor.evidence()
+    uncovered, change = evidence.uncovered.copy(), evidence.change.copy()
+    uncovered[START:, 2] = 0.1
+    uncovered[START:, 2, MAX_LAG_FRAMES - 4] = 0.0
+    change[START, 2] *= 4.0 if jumps else 1.0
+    found = find_camera_faults(replace(evidence, uncovered=uncovered, strict=uncovered, change=change))
+    assert [(f.camera, f.kind, f.lag_frames) for f in found] == ([("cam_2", "lag", -4)] if jumps else [])
+
+
 @pytest.mark.parametrize(("frames_each", "drifts"), [(4, True), (2, True), (1, False)])
 def test_a_clock_runs_away_slower_than_the_time_goes(frames_each: int, drifts: bool) -> None:
     """Frame by frame the lag grows where of one moment alone the hull holds what the masks show."""
