@@ -165,7 +165,7 @@ class OccluderLearner:
         What hid somebody from this camera itself counts when it stands behind whoever the cell has shown. What hid
         somebody from two others counts until the cell has shown somebody behind it. What is known to stand counts where
         people stay in their places, in cells that have shown nobody: hulls of things are larger than things, and those
-        who walk about say better where they begin and end.
+        who walk about say better where they begin and end; where some walk, it counts before those who stay alone.
         """
         has_moved = self._n_odd > max(_OFTEN * self._n_telling, _FEW_FRAMES)
         n_blocked = np.where(has_moved[:, None], np.uint16(0), self.n_blocked)
@@ -173,7 +173,8 @@ class OccluderLearner:
         squares = _squares(self._rig, self._space.centers(solid), self._space.voxel_size_m)
         things = _squares(self._rig, self.things, VOXEL_M)
         squares_walked = len(np.unique(np.floor(self._places[:, :2] / _SQUARE_M), axis=0))
-        stay = None if squares_walked < _SQUARES_WALKED else _squares(self._rig, self._who_stays(), VOXEL_M)
+        is_asked = len(self.things) and squares_walked >= _SQUARES_WALKED
+        stay = _squares(self._rig, self._who_stays(), VOXEL_M) if is_asked else None
         has_blocked = n_blocked[:, solid] > 0
         is_crossed = np.count_nonzero(has_blocked, axis=0) >= _CROSSING
         maps = {}
