@@ -19,6 +19,7 @@ from test_occluders import (
     pictures,
     rays_of,
     ring_rig,
+    seen,
 )
 
 from mocap.data import CameraRig
@@ -146,13 +147,6 @@ def test_who_walks_about_says_better() -> None:
         np.testing.assert_array_equal(told.occluders().depth_m[name], depth)
 
 
-def seen(i: int, *places: np.ndarray, box: np.ndarray | None = LEDGE) -> np.ndarray:
-    """Mask (H, W) of camera i of persons at places (2,), behind a box."""
-    eye, rays = rays_of(i)
-    nearest = np.min([hit_cylinder(eye, rays, at) for at in places], axis=0)
-    return (nearest < (np.inf if box is None else hit_box(eye, rays, box))).reshape(SIZE[::-1])
-
-
 @pytest.mark.parametrize("stays", [True, False])
 def test_the_floor_tells_what_stands_before_who_stays_though_others_walk(stays: bool) -> None:
     """And nothing of the same things where nobody stays: there who walks says better."""
@@ -161,13 +155,13 @@ def test_the_floor_tells_what_stands_before_who_stays_though_others_walk(stays: 
     learner.things = np.vstack([ledge, far_off, cubes(SHELF)])
     for k, at in enumerate(path(60)):
         together = (at, STAYS_AT) if stays or k % 3 == 0 else (at,)
-        learner.add(masks_by_cells([seen(i, *together) for i in range(6)]))
+        learner.add(masks_by_cells([seen(i, *together, box=LEDGE) for i in range(6)]))
     learner.n_blocked[:] = 0  # what people tell themselves
     known, cabinet = learner.occluders().depth_m, painted(ring_rig(), far_off, VOXEL_M).depth_m
     legs, of_legs, beside, of_cabinet = 0, 0, 0, 0
     for i, camera in enumerate(ring_rig()):
         hides = np.isfinite(known[camera.name])
-        lost = masks_by_cells([seen(i, STAYS_AT, box=None) & ~seen(i, STAYS_AT)])[0] == 2
+        lost = masks_by_cells([seen(i, STAYS_AT) & ~seen(i, STAYS_AT, box=LEDGE)])[0] == 2
         middle_m = camera.R[2] @ [*STAYS_AT, 0.9] + camera.t[2]
         assert not (known[camera.name][hides] > middle_m + 0.7).any()
         legs, of_legs = legs + int(lost.sum()), of_legs + int((lost & hides).sum())
@@ -189,6 +183,6 @@ def near_who_stays(i: int) -> np.ndarray:
     """Cells (h, w) in which somebody at an arm's length round STAYS_AT, with arms raised, may be seen by camera i."""
     turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     about = STAYS_AT + 0.5 * np.column_stack([np.cos(turns), np.sin(turns)])
-    near = np.logical_or.reduce([seen(i, at, box=None) for at in about])
+    near = np.logical_or.reduce([seen(i, at) for at in about])
     raised = near | np.roll(near, -16, axis=0)  # by 0.3 m at the least
     return masks_by_cells([raised])[0] > 0

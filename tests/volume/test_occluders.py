@@ -59,11 +59,14 @@ def hit_cylinder(eye: np.ndarray, rays: np.ndarray, at: np.ndarray, foot_m: floa
 
 def standing_silhouettes(at: np.ndarray) -> list[np.ndarray]:
     """What every camera sees of the person at (2,) m."""
-    found = []
-    for i in range(len(ring_rig())):
-        eye, rays = rays_of(i)
-        found.append(np.isfinite(hit_cylinder(eye, rays, at)).reshape(SIZE[1], SIZE[0]))
-    return found
+    return [seen(i, at) for i in range(N_CAMERAS)]
+
+
+def seen(i: int, *places: np.ndarray, box: np.ndarray | None = None) -> np.ndarray:
+    """Mask (H, W) of camera i of persons at places (2,) m, behind a box."""
+    eye, rays = rays_of(i)
+    nearest = np.min([hit_cylinder(eye, rays, at) for at in places], axis=0)
+    return (nearest < (np.inf if box is None else hit_box(eye, rays, box))).reshape(SIZE[::-1])
 
 
 def on_floor(i: int, xy: np.ndarray, radius_m: float) -> np.ndarray:
@@ -90,16 +93,8 @@ def path(n: int) -> np.ndarray:
 
 def pictures(*places: np.ndarray, with_box: bool) -> list[list[np.ndarray]]:
     """Masks per frame and camera.  places : (n, 2) of each person."""
-    frames = []
-    for together in zip(*places, strict=True):
-        masks = []
-        for i in range(N_CAMERAS):
-            eye, rays = rays_of(i)
-            nearest = np.min([hit_cylinder(eye, rays, at) for at in together], axis=0)
-            seen = nearest < (hit_box(eye, rays) if with_box else np.inf)
-            masks.append(seen.reshape(SIZE[::-1]))
-        frames.append(masks)
-    return frames
+    box = BOX if with_box else None
+    return [[seen(i, *together, box=box) for i in range(N_CAMERAS)] for together in zip(*places, strict=True)]
 
 
 @lru_cache
