@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap.data import Hull, VoxelGrid
+from mocap.data import CameraRig, Hull, VoxelGrid
 from mocap.pipeline.config import TrackingConfig
 from mocap.tracking import FrameVoxels, TrackerSettings, person_tree, published_settings
 from mocap.volume import coarsen, connected_components, surface_voxels
@@ -63,11 +63,13 @@ def tracker_settings(
     n_frames: int | None = None,
     *,
     is_room_known: bool = False,
+    rig: CameraRig | None = None,
 ) -> TrackerSettings:
     """The tracker's settings from the configuration.
 
     grid : of the hulls.  n_frames : length of the clip; a person of a clip shorter than twice confirm_frames needs
     fewer sightings.  is_room_known : masks are of what was not in the empty scene.
+    rig : as of TrackerSettings; the trackers as published ask no camera.
     """
     confirm, lying = config.confirm_frames, max(1, round(_LYING_S * fps))
     if n_frames is not None:
@@ -85,7 +87,7 @@ def tracker_settings(
     }
     if config.published:
         return published_settings(config.tracker, voxel_size_m, **values)
-    return TrackerSettings(voxel_size_m, tracker=config.tracker, reid_s=config.reid_s, **values)
+    return TrackerSettings(voxel_size_m, tracker=config.tracker, reid_s=config.reid_s, rig=rig, **values)
 
 
 def every_frame(frames: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:

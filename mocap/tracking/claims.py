@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from mocap.arrays import Array, Indices
+from mocap.data.covered import LEAST_CAMERAS, Covered
 from mocap.tracking import _kernels
 from mocap.tracking.colour import N_BINS, banded_histogram, bhattacharyya, colour_bins
 from mocap.tracking.features import (
@@ -48,6 +49,8 @@ _LOW_TOP_M = 0.8  # who was lower when last seen alone lies or squats; a child o
 # Of an equal share: under a hand that is held up is less (decision 112).
 _LIKE_SHARE = 0.5
 _ALIKE_SHARE = 0.75  # at first sight: a rucksack has had .71 for a moment
+# Of what a person covers in a picture, the median over cameras (decision 131).
+_OWN_SHARE = 0.15
 _PULL_M = 0.4  # how far colours may move the place of a person in a blob of several
 _WALK_M_S = 2.0  # who walks goes no further between two pictures, however far apart they are
 # A person who sinks to the floor, from one frame to the next:
@@ -564,12 +567,33 @@ def _heads(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> tu
 
 
 def _apart(frame: Frame, voxels: Indices, like_share: float = _LIKE_SHARE) -> list[Claim]:
-    """One claim for each head of a component, by the nearest head; none where there is one, or not all are persons."""
+    """One claim for each head of a component, by the nearest head; none where there is one, or not all are persons.
+
+    What two people leave between them in the volume has a head, too, but no pixels of its own.
+    """
     heads, nearest = _heads(frame, voxels, like_share)
+    while len(heads) > 1:
+        own = _own_shares(frame, voxels, nearest, len(heads))
+        if own.min() >= _OWN_SHARE:
+            break
+        heads = np.delete(heads, own.argmin(), axis=0)
+        nearest = nearest_head(frame.voxels.centers[voxels], heads)
     if len(heads) < 2:
         return []
     shares = [replace(claim_of(frame, voxels[nearest == i]), is_shared=True) for i in range(len(heads))]
     return shares if all(share.is_person for share in shares) else []
+
+
+def _own_shares(frame: Frame, voxels: Indices, nearest: Indices, n_heads: int) -> Array:
+    """How much of what is under each head nobody else covers in the pictures, (n_heads,)."""
+    rig = frame.settings.rig
+    if rig is None or len(rig) < LEAST_CAMERAS:
+        return np.ones(n_heads)
+    label = np.full(len(frame.voxels), n_heads)  # what is somebody else's
+    label[voxels] = nearest
+    is_surface = frame.voxels.is_surface
+    covered = Covered(rig, frame.voxels.centers[is_surface], label[is_surface], n_heads + 1)
+    return np.array([covered.own_share(head) for head in range(n_heads)])
 
 
 def _add_fragments(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mocap.arrays import Array, Indices
+from mocap.data import CameraRig
 from mocap.tracking.features import PERSON_TREE, BlobFeatures, Split
 
 TRACKERS = ("naive", "particle", "sparse")
@@ -92,6 +93,9 @@ class TrackerSettings:
     identity_margin : sum of the two Bhattacharyya coefficients that must be gained by an exchange.
     reid_s : a person who was lost gets the old number back within this time when the colours agree; 0 = never.
     reid_likeness : least Bhattacharyya coefficient for that.  reid_margin : how much less the next best may have.
+
+    rig : cameras that the hulls are of; several people in one volume have pixels of their own there. None = heads are
+        enough.
     """
 
     voxel_size_m: float
@@ -135,6 +139,7 @@ class TrackerSettings:
     reid_s: float = 60.0
     reid_likeness: float = 0.7
     reid_margin: float = 0.1
+    rig: CameraRig | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.tracker not in TRACKERS:

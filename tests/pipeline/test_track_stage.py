@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from marker_world import ring
 
 from mocap.data import Tracks, VoxelGrid
 from mocap.errors import MocapError
@@ -16,11 +17,13 @@ from mocap.pipeline.stages.track import TRACK, sides_between, track_report
 from mocap.pipeline.tracking import every_frame, tracker_settings
 from mocap.pipeline.walk import run_stage
 from mocap.products.tracks import stored_tracks, track_row
+from mocap.tracking import track_step
 from mocap.volume import surface_voxels
 
 GRID = VoxelGrid(np.array([-1.5, -1.0, 0.0]), (60, 40, 36), 0.05)
 RED, BLUE = (200, 40, 30), (30, 50, 190)
 FPS = 10.0
+RIG = ring(4)
 ENTRY = [[(x, 0.0, RED)] for x in np.linspace(-1.4, 0.4, 14)]
 CLIP = ENTRY + ENTRY[::-1] + [[]] * 20 + ENTRY
 
@@ -55,7 +58,7 @@ def stage(tmp_path):
                 out.append(
                     frame, voxels=voxels, is_surface=is_surface, n_views=is_surface.astype(np.uint8), rgb=rgb
                 )
-        session = SimpleNamespace(frames=range(len(clip)), fps=FPS, has_empty_scene=True)
+        session = SimpleNamespace(frames=range(len(clip)), fps=FPS, has_empty_scene=True, rig=RIG)
         config = load_config(settings=settings)
         run_stage(TRACK, Job(session, config, store, "k", seed=seed))
         tracks = stored_tracks(store, FPS)
@@ -148,6 +151,20 @@ def test_expected_persons_and_published_reach_the_tracker():
     known = tracker_settings(load_config().tracking, GRID, FPS, 100, is_room_known=True)
     assert known.lying_frames == round(2 * FPS)
     assert tracker_settings(load_config().tracking, GRID, FPS, 12, is_room_known=True).lying_frames == 6
+
+
+def test_the_tracker_knows_the_cameras(stage, monkeypatch):
+    asked = []
+
+    def step(state, voxels, settings, *, rng):
+        asked.append(settings)
+        return track_step(state, voxels, settings, rng=rng)
+
+    monkeypatch.setattr("mocap.pipeline.stages.track.track_step", step)
+    stage(CLIP[:2])
+    assert [settings.rig for settings in asked] == [RIG] * 2
+    config = load_config(settings=("tracking.published=true",))
+    assert tracker_settings(config.tracking, GRID, FPS, 100, rig=RIG).rig is None
 
 
 def test_nobody_in_the_room(stage):

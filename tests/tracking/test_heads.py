@@ -1,10 +1,18 @@
 """People who touch when they are first seen: their heads, and one track for each of them."""
 
+from dataclasses import replace
+from functools import lru_cache
+
+import cv2
 import numpy as np
 import pytest
 from bodies import BLUE, GREEN, RED, box, confirmed, observe, person, run, settings
+from marker_world import ring
 
+from mocap.data import CameraRig, VoxelGrid
+from mocap.tracking import FrameVoxels
 from mocap.tracking.heads import ABOVE_M, has_shoulders, heads_of, nearest_head
+from mocap.volume import Carver, connected_components, surface_voxels
 
 # What few cameras see between people: as high as their shoulders, and wider than they are.
 BETWEEN = box(0.0, 0.0, 0.6, 0.25, 0.0, 1.25)
@@ -310,3 +318,65 @@ def test_an_arm_above_a_childs_head_is_not_its_own_where_each_has_a_head():
     assert infos[-1].n_components == 1
     tops = {person: found.top_m for person, found in infos[-1].features_of.items()}
     assert tops == pytest.approx({1: 1.7, 2: 1.2}, abs=0.051)
+
+
+# Before so few cameras, what several leave between them is as high and as heavy as they are.
+FOUR_CAMERAS = ring(4, size=(320, 248), dist=np.zeros(4))
+ROOM = VoxelGrid.from_bounds(np.array([-1.8, -1.8, 0.0]), np.array([1.8, 1.8, 1.9]), 0.05)
+
+
+@lru_cache
+def hull(*places, heights=(1.7, 1.7, 1.7), rig=FOUR_CAMERAS):
+    """What the cameras leave of people in these places."""
+    boxes = [
+        box for place, height in zip(places, heights, strict=False) for box in person(*place, height=height)
+    ]
+    masks = []
+    for camera in rig:
+        mask = np.zeros(camera.size[::-1], dtype=np.uint8)
+        uv = np.round(camera.project(observe(boxes).centers)[0]).astype(int)
+        u, v = uv[((uv >= 0) & (uv < camera.size)).all(axis=1)].T
+        mask[v, u] = 1
+        masks.append(cv2.dilate(mask, np.ones((7, 7))) > 0)
+    voxels = Carver(rig, ROOM).carve(masks, n_faulty_views=0)
+    labels, _ = connected_components(voxels, ROOM)
+    return FrameVoxels.of_grid(0, ROOM, voxels, labels, surface_voxels(voxels, ROOM))
+
+
+def followed(places, **changes):
+    seen = hull(*places)
+    infos, _ = run([replace(seen, frame=frame) for frame in range(12)], settings(**changes))
+    return infos[-1].tracks
+
+
+@pytest.mark.parametrize(
+    ("places", "n_heads"),
+    [
+        (((0.5, -0.5), (0.0, 0.6)), 3),
+        (((-0.7, -0.5), (0.2, 0.2)), 3),
+        (((0.8, 0.5), (0.0, 0.7), (-1.0, 0.3)), 4),
+        (((0.7, 0.2), (-0.6, 0.4), (0.5, -0.8)), 5),
+        (((0.0, -0.3), (-0.4, -0.7)), 3),
+        (((0.2, 0.8), (0.3, -0.4), (-0.2, 0.0)), 5),
+    ],
+)
+def test_what_has_no_pixels_of_its_own_is_nobody(places, n_heads):
+    """Heads alone are more than people; the one with least of its own goes first."""
+    assert len(followed(places)) == n_heads
+    tracks = followed(places, rig=FOUR_CAMERAS)
+    assert len(tracks) == len(places)
+    found = np.array([track.xyz[:2] for track in tracks])
+    gaps = np.linalg.norm(found[:, None] - np.array(places), axis=2)
+    assert gaps.min(axis=0).max() < 0.25
+
+
+@pytest.mark.parametrize("boxes", [PAIR, UNEQUAL])
+def test_who_has_pixels_of_his_own_is_one_of_several(boxes):
+    infos, _ = run([boxes] * 12, settings(rig=FOUR_CAMERAS))
+    assert persons_in(infos)[-1] == 2
+
+
+def test_three_cameras_are_not_asked_who_has_pixels_of_his_own():
+    places = ((0.5, -0.5), (0.0, 0.6))
+    three = CameraRig(FOUR_CAMERAS.cameras[:3])
+    assert len(followed(places, rig=three)) == len(followed(places)) == 3

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.arrays import frames_in_words
-from mocap.data import Tracks, VoxelGrid
+from mocap.data import CameraRig, Tracks, VoxelGrid
 from mocap.errors import MocapError
 from mocap.io.store import StageStore
 from mocap.pipeline.config import TrackingConfig
@@ -42,6 +42,7 @@ class _Tracking:
     fps: float
     n_frames: int
     is_room_known: bool
+    rig: CameraRig
     tracker: TrackerState = field(default_factory=TrackerState)
     settings: TrackerSettings | None = None
     history: list[tuple[int, tuple[Track, ...]]] | None = None
@@ -60,6 +61,7 @@ def _start(job: Job) -> _Tracking:
         session.fps,
         len(session.frames),
         session.has_empty_scene,
+        session.rig,
         history=None if job.is_endless else [],
     )
 
@@ -74,7 +76,7 @@ def _settings(state: _Tracking, grid: VoxelGrid) -> TrackerSettings:
         )
     try:
         return tracker_settings(
-            state.config, grid, state.fps, state.n_frames, is_room_known=state.is_room_known
+            state.config, grid, state.fps, state.n_frames, is_room_known=state.is_room_known, rig=state.rig
         )
     except ValueError as error:
         raise MocapError(f"configuration: tracking: {error}", remedy="correct the setting") from error
