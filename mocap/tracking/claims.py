@@ -172,14 +172,14 @@ def claim_voxels(frame: Frame, tracks: tuple[Track, ...], xyz: Array) -> tuple[d
         _reacquire(frame, tracks, xyz, claims, is_taken)
     else:
         claims, is_taken = _claim_ellipsoids(frame, xyz)
-    newborn = _create(frame, claims, is_taken)
+    newborn = _create(frame, claims, is_taken, xyz)
     if frame.settings.whole_components:
         newborn += _create_several(frame, [*claims.values(), *newborn], is_taken)
         newborn += _come_apart(frame, tracks, claims)
     slots = list(range(len(tracks), len(tracks) + len(newborn)))
     claims.update(zip(slots, newborn, strict=True))
     if frame.settings.whole_components:
-        _add_fragments(frame, claims, is_taken)
+        _add_fragments(frame, claims, is_taken, [i for i, t in enumerate(tracks) if t.status != TENTATIVE])
     return claims, slots
 
 
@@ -404,14 +404,17 @@ def likeness(track_appearance: Histogram | None, blob_appearance: Histogram | No
 
 
 def _free_persons(
-    frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_], *, lying: bool = False
+    frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_], xyz: Array, *, lying: bool = False
 ) -> list[int]:
     """Person components that belong to nobody and stand away from every track; heaviest first.
 
-    lying : those too that may be somebody on the floor.
+    xyz : (T, 3) m, where the tracks are believed to be: of who is one volume with others but for his legs, what he
+    holds may be elsewhere.  lying : those too that may be somebody on the floor.
     """
     parts = frame.parts
-    owners = np.array([c.centroid for c in claims.values() if len(c.voxels)])
+    slots = [slot for slot, claim in claims.items() if len(claim.voxels)]
+    places = [claims[slot].centroid for slot in slots]
+    owners = np.array([*places, *xyz[slots]] if frame.settings.whole_components else places)
     heavy = np.flatnonzero(~is_taken & (parts.weight_kg >= frame.settings.min_support_kg)).tolist()
     free = [k for k in heavy if frame.verdicts[k] or (lying and may_lie(parts.features(k)))]
     if len(owners) and free:
@@ -452,7 +455,7 @@ def _reacquire(
         return
     healthy = {t: c for t, c in claims.items() if c.is_person}
     pairs = []
-    for k in _free_persons(frame, healthy, is_taken):
+    for k in _free_persons(frame, healthy, is_taken, xyz):
         look = frame.appearance(frame.parts.voxels(k)) if frame.settings.keep_identity else None
         for t in missing:
             gap = float(np.linalg.norm(frame.parts.centroid[k, :2] - xyz[t, :2]))
@@ -482,10 +485,10 @@ def _reach(frame: Frame, track: Track, k: int, look: Histogram | None) -> float:
     return max(settings.reacquire_distance_m, _WALK_M_S / settings.fps)
 
 
-def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> list[Claim]:
+def _create(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_], xyz: Array) -> list[Claim]:
     """Components that become new tracks. Source: CF 4.2.3, track creation criteria."""
     newborn: list[int] = []
-    for k in _free_persons(frame, claims, is_taken, lying=frame.settings.follow_low):
+    for k in _free_persons(frame, claims, is_taken, xyz, lying=frame.settings.follow_low):
         centroid = frame.parts.centroid
         gaps = [float(np.linalg.norm(centroid[k, :2] - centroid[n, :2])) for n in newborn]
         if _is_apart(frame, k, min(gaps, default=np.inf)):
@@ -596,10 +599,12 @@ def _own_shares(frame: Frame, voxels: Indices, nearest: Indices, n_heads: int) -
     return np.array([covered.own_share(head) for head in range(n_heads)])
 
 
-def _add_fragments(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_]) -> None:
+def _add_fragments(
+    frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.bool_], firm: Sequence[int]
+) -> None:
     """Loose parts go to the nearest track within reach: a hand that the carving cut off, or a trunk above its legs.
 
-    What is heavier and stands on the floor is somebody else.
+    What is heavier and stands on the floor is somebody else. firm : slots of tracks that are persons for sure.
     """
     parts, settings = frame.parts, frame.settings
     owners = [t for t, c in claims.items() if len(c.voxels)]
@@ -607,11 +612,15 @@ def _add_fragments(frame: Frame, claims: dict[int, Claim], is_taken: NDArray[np.
     if not owners or not len(loose):
         return
     xyz = np.array([claims[t].centroid for t in owners])
+    top = np.array([claims[t].box[1, 2] for t in owners])
     weight = np.array([claims[t].weight_kg for t in owners])
+    aside = np.linalg.norm(xyz[:, None, :2] - parts.centroid[loose, :2], axis=2)
     reach = ellipsoid_distance(parts.centroid[loose], xyz, settings)
-    nearest = np.argmin(reach, axis=0)
-    aside = np.linalg.norm(parts.centroid[loose, :2] - xyz[nearest, :2], axis=1)
-    is_trunk = (parts.lower[loose, 2] > _ON_FLOOR_M) & (aside <= _ASIDE_M)
+    # The ellipsoid of legs is low: that of somebody beside reaches farther up to the trunk above them.
+    is_above = (aside <= _ASIDE_M) & (parts.centroid[loose, 2] > top[:, None])
+    is_above &= np.isin(owners, firm)[:, None]
+    nearest = np.argmin(np.where(is_above, 0.0, reach), axis=0)
+    is_trunk = (parts.lower[loose, 2] > _ON_FLOOR_M) & (aside[nearest, range(len(loose))] <= _ASIDE_M)
     belongs = reach.min(axis=0) <= settings.fragment_reach**2
     belongs &= (parts.weight_kg[loose] < weight[nearest]) | is_trunk
     for i, t in enumerate(owners):

@@ -304,9 +304,77 @@ def test_a_trunk_above_its_legs_is_the_rest_of_him(dx, lower, is_his):
     low, heavy = np.argsort(frame.parts.weight_kg)
     assert frame.parts.weight_kg[heavy] > 2 * frame.parts.weight_kg[low]
     claims, is_taken = {0: part_claim(frame, int(low))}, np.arange(2) == low
-    _add_fragments(frame, claims, is_taken)
+    _add_fragments(frame, claims, is_taken, [0])
     assert len(claims[0].voxels) == (len(frame.voxels) if is_his else len(frame.parts.voxels(int(low))))
     assert is_taken[heavy] == is_his
+
+
+def in_two(x, y):
+    """Somebody whose hips the masks have lost."""
+    return [
+        box(x, y, 0.15, 0.2, 0.0, 0.85),
+        box(x, y, 0.15, 0.2, 0.95, 1.45),
+        box(x, y, 0.1, 0.1, 1.45, 1.7),
+    ]
+
+
+@pytest.mark.parametrize("dx", [0.55, 0.6, 0.7])
+def test_a_trunk_belongs_to_the_legs_below_it_and_not_to_somebody_beside(dx):
+    """The ellipsoid of legs alone is low: that of who stands half a metre away reaches farther up."""
+    whole = [[*person(0, 0), *person(dx, 0)]] * 5
+    infos, _ = run(whole + [[*person(0, 0), *in_two(dx, 0)]] * 8, settings())
+    for info in infos:
+        both = {round(float(t.xyz[0]) / dx): t for t in info.tracks}
+        assert both[1].weight_kg == pytest.approx(both[0].weight_kg, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("first", "loose", "firm", "owner"),
+    [
+        (box(0.6, 0, 0.15, 0.2, 0.0, 0.85), box(0.6, 0, 0.15, 0.2, 0.95, 1.7), [0, 1], 0),
+        (box(0.6, 0, 0.15, 0.2, 0.0, 0.85), box(0.6, 0, 0.15, 0.2, 0.95, 1.7), [1], 1),
+        (box(0.5, 0, 0.15, 0.2, 0.0, 1.7), box(0.25, 0, 0.05, 0.05, 0.5, 0.6), [0, 1], 0),
+        (box(0.56, 0, 0.15, 0.2, 0.0, 1.7), box(0.27, 0, 0.05, 0.05, 0.5, 0.6), [0, 1], 1),
+        (box(0.5, 0, 0.15, 0.2, 0.0, 0.85), box(0.5, 0, 0.3, 0.4, 0.95, 1.75), [1], None),
+        (box(-1.5, 0, 0.15, 0.2, 0.0, 1.1), box(0, 0.45, 0.05, 0.05, 1.3, 1.4), [0, 1], 1),
+    ],
+    ids=[
+        "trunk above",
+        "above who may be nobody",
+        "hand of the first",
+        "hand of the second",
+        "heavier",
+        "hand held up",
+    ],
+)
+def test_whose_a_loose_part_is(first, loose, firm, owner):
+    """Beside somebody in the middle of the room, the second."""
+    frame = frame_of(observe([first, box(0, 0, 0.15, 0.2, 0.0, 1.75), loose]), settings())
+    places = [np.mean([b[0], b[1]], axis=0) for b in (first, loose)]
+    k, part = (int(np.linalg.norm(frame.parts.centroid - place, axis=1).argmin()) for place in places)
+    other = 3 - k - part
+    claims = {0: part_claim(frame, k), 1: part_claim(frame, other)}
+    is_taken = np.arange(3) != part
+    _add_fragments(frame, claims, is_taken, firm)
+    before = {0: len(frame.parts.voxels(k)), 1: len(frame.parts.voxels(other))}
+    assert [len(claims[i].voxels) > before[i] for i in (0, 1)] == [owner == 0, owner == 1]
+
+
+@pytest.mark.parametrize(
+    ("dx", "hips_m", "half_m", "lower_m", "lean_m"),
+    [(0.62, 1.1, 0.34, 1.27, -0.04), (0.65, 1.1, 0.28, 1.24, 0.04), (0.62, 1.05, 0.31, 1.28, 0.0)],
+)
+def test_legs_of_whose_trunk_touches_another_are_nobody_else(dx, hips_m, half_m, lower_m, lean_m):
+    """Of one volume with a stout man he holds a share that is elsewhere; the legs, as high as a child, are where he
+    was."""
+    stout = [box(0, 0, half_m, 0.2, 0.0, 1.45), box(0, 0, 0.1, 0.1, 1.45, 1.75)]
+    trunk, head = (
+        box(dx + lean_m, 0, half, half, *z) for half, z in ((0.15, (hips_m + 0.1, 1.5)), (0.1, (1.5, 1.75)))
+    )
+    scene = [*stout, box(dx, 0, 0.15, 0.2, 0.0, hips_m), trunk, head]
+    touch = box((half_m + dx) / 2, 0, max((dx - half_m) / 2, 0.05) + 0.05, 0.1, lower_m, lower_m + 0.15)
+    infos, _ = run([scene] * 5 + [[*scene, touch]] * 8, settings())
+    assert [len(info.tracks) for info in infos] == [2] * 13
 
 
 def test_centres_and_groups_agree_with_numpy():
