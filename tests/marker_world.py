@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +46,18 @@ def ring(n: int = N_CAMERAS, size: tuple[int, int] = SIZE, dist: Array = DIST) -
         )
         cameras.append(Camera(f"cam_{i}", size, K, dist, R, -R @ eye))
     return CameraRig(tuple(cameras))
+
+
+def spotted(rig: CameraRig, points: Array) -> list[NDArray[np.bool_]]:
+    """What the cameras see of points (N, 3) m, each a square spot of seven pixels."""
+    masks = []
+    for camera in rig:
+        mask = np.zeros(camera.size[::-1], dtype=np.uint8)
+        uv = np.round(camera.project(points)[0]).astype(int)
+        u, v = uv[((uv >= 0) & (uv < camera.size)).all(axis=1)].T
+        mask[v, u] = 1
+        masks.append(cv2.dilate(mask, np.ones((7, 7))) > 0)
+    return masks
 
 
 def other_body(height_m: float = 1.68) -> tuple[Body, Markers]:

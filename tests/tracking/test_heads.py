@@ -3,11 +3,10 @@
 from dataclasses import replace
 from functools import lru_cache
 
-import cv2
 import numpy as np
 import pytest
 from bodies import BLUE, GREEN, RED, box, confirmed, observe, person, run, settings
-from marker_world import ring
+from marker_world import ring, spotted
 
 from mocap.data import CameraRig, VoxelGrid
 from mocap.tracking import FrameVoxels
@@ -326,19 +325,11 @@ ROOM = VoxelGrid.from_bounds(np.array([-1.8, -1.8, 0.0]), np.array([1.8, 1.8, 1.
 
 
 @lru_cache
-def hull(*places, heights=(1.7, 1.7, 1.7), rig=FOUR_CAMERAS):
-    """What the cameras leave of people in these places."""
-    boxes = [
-        box for place, height in zip(places, heights, strict=False) for box in person(*place, height=height)
-    ]
-    masks = []
-    for camera in rig:
-        mask = np.zeros(camera.size[::-1], dtype=np.uint8)
-        uv = np.round(camera.project(observe(boxes).centers)[0]).astype(int)
-        u, v = uv[((uv >= 0) & (uv < camera.size)).all(axis=1)].T
-        mask[v, u] = 1
-        masks.append(cv2.dilate(mask, np.ones((7, 7))) > 0)
-    voxels = Carver(rig, ROOM).carve(masks, n_faulty_views=0)
+def hull(*places):
+    """What the four cameras leave of people in these places."""
+    points = observe([box for place in places for box in person(*place)]).centers
+    masks = spotted(FOUR_CAMERAS, points)
+    voxels = Carver(FOUR_CAMERAS, ROOM).carve(masks, n_faulty_views=0)
     labels, _ = connected_components(voxels, ROOM)
     return FrameVoxels.of_grid(0, ROOM, voxels, labels, surface_voxels(voxels, ROOM))
 

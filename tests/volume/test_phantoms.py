@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from marker_world import ring
+from marker_world import ring, spotted
 
 from mocap.data import CameraRig, VoxelGrid
 from mocap.volume import Carver, connected_components, surface_voxels
@@ -24,22 +24,6 @@ def posts(*places: tuple[float, float], width_m: float = 0.4, height_m: float = 
     return np.flatnonzero(inside).astype(np.int32)
 
 
-def silhouettes(rig: CameraRig, voxels: np.ndarray) -> list[np.ndarray]:
-    masks = []
-    for camera in rig:
-        mask = np.zeros(camera.size[::-1], dtype=np.bool_)
-        uv = np.round(camera.project(GRID.centers(voxels))[0]).astype(int)
-        for dx in range(-3, 4):
-            for dy in range(-3, 4):
-                u, v = (
-                    np.clip(uv[:, 0] + dx, 0, mask.shape[1] - 1),
-                    np.clip(uv[:, 1] + dy, 0, mask.shape[0] - 1),
-                )
-                mask[v, u] = True
-        masks.append(mask)
-    return masks
-
-
 def gone(voxels: np.ndarray, masks: list[np.ndarray], rig: CameraRig = RIG) -> np.ndarray:
     return phantoms(voxels, surface_voxels(voxels, GRID), GRID, rig, masks)
 
@@ -56,7 +40,7 @@ def gone(voxels: np.ndarray, masks: list[np.ndarray], rig: CameraRig = RIG) -> n
 def test_volumes_that_others_explain_are_nobody(places: tuple[tuple[float, float], ...]) -> None:
     """Three posts before four cameras leave volumes as large as themselves where their rays cross."""
     cast = posts(*places)
-    masks = silhouettes(RIG, cast)
+    masks = spotted(RIG, GRID.centers(cast))
     voxels = Carver(RIG, GRID).carve(masks, n_faulty_views=0)
     labels, _ = connected_components(voxels, GRID)
     litres = np.bincount(labels) * 1000 * GRID.voxel_size_m**3
@@ -71,7 +55,7 @@ def test_volumes_that_others_explain_are_nobody(places: tuple[tuple[float, float
 def test_people_stay_however_they_stand_before_each_other() -> None:
     towards = RIG[0].center[:2] / np.linalg.norm(RIG[0].center[:2])
     cast = posts(tuple(0.5 * towards), tuple(-0.5 * towards))
-    assert not gone(cast, silhouettes(RIG, cast)).any()
+    assert not gone(cast, spotted(RIG, GRID.centers(cast))).any()
 
 
 def test_one_piece_is_never_taken() -> None:
@@ -90,7 +74,7 @@ def test_small_pieces_are_no_matter() -> None:
     hand = np.setdiff1d(np.flatnonzero(near), body).astype(np.int32)
     both = np.union1d(body, hand).astype(np.int32)
     assert connected_components(both, GRID)[1] == 2
-    assert not gone(both, silhouettes(RIG, body)).any()
+    assert not gone(both, spotted(RIG, GRID.centers(body))).any()
 
 
 def test_where_no_camera_has_a_say_nothing_is_taken() -> None:
@@ -102,7 +86,7 @@ def test_where_no_camera_has_a_say_nothing_is_taken() -> None:
 def test_with_fewer_than_four_cameras_nobody_is_taken() -> None:
     rig = ring(3, size=(320, 248), dist=np.zeros(4))
     cast = posts((0.9, 0.4), (0.1, -0.4), (-0.7, 0.9))
-    masks = silhouettes(rig, cast)
+    masks = spotted(rig, GRID.centers(cast))
     voxels = Carver(rig, GRID).carve(masks, n_faulty_views=0)
     assert connected_components(voxels, GRID)[1] > 3
     assert not gone(voxels, masks, rig).any()
