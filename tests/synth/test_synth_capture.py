@@ -148,13 +148,26 @@ def test_amc_by_hand(tmp_path: Path) -> None:
     assert bent[2] - 2 == pytest.approx(np.cos(np.deg2rad(30)))
 
 
+def test_hips_walk_below_a_root_that_stays(tmp_path: Path) -> None:
+    path = tmp_path / "a.bvh"
+    channels = "CHANNELS 6 Xposition Yposition Zposition Yrotation Zrotation Xrotation"
+    text = BVH.replace("CHANNELS 3 Yrotation Zrotation Xrotation", channels)
+    rows = "0 0 0 0 0 0 1 0 0 0 0 0\n0 0 0 90 0 0 4 0 2 0 0 0\n"
+    path.write_text(text[: text.index("0 0 0 0 0 0 0 0 0")] + rows, encoding="utf-8")
+    found = read_bvh(path)
+    # In the frame of its parent, which turns a quarter about z: x goes to y.
+    assert np.allclose(found.world()[0], [[[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 4, 2]]])
+    assert np.allclose(found.sampled(np.array([0.5])).places[0, 1], [2.5, 0, 1])
+    assert np.allclose(found.at_rest().world()[0], [[[5, 6, 7], [6, 6, 7]]])
+
+
 def test_sampling_goes_between_frames_and_stops_at_the_ends(tmp_path: Path) -> None:
     path = tmp_path / "a.bvh"
     path.write_text(BVH, encoding="utf-8")
     recording = read_bvh(path)
     sampled = recording.sampled(np.array([-1.0, 0.5, 1.0, 9.0]))
     assert np.allclose(
-        sampled.root_position, [[0.0, 0.0, 0.0], [0.5, 1.0, 1.5], [1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]
+        sampled.places[:, 0], [[0.0, 0.0, 0.0], [0.5, 1.0, 1.5], [1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]
     )
     half = sampled.rotations[1, 0] @ [1, 0, 0]
     assert np.allclose(half, [np.sqrt(0.5), np.sqrt(0.5), 0])

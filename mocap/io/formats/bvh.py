@@ -63,6 +63,14 @@ class BvhMotion:
     table: Array
     frame_s: float
 
+    def place_in_parent(self, joint: BvhJoint) -> Array:
+        """Where a joint is in its parent's frame, (T, 3): its OFFSET, which positions among its channels replace."""
+        place = np.tile(np.array(joint.offset), (len(self.table), 1))
+        for c, name in enumerate(joint.channels, start=joint.first_channel):
+            if name.endswith("position"):
+                place[:, "XYZ".index(name[0])] = self.table[:, c]
+        return place
+
 
 def read_bvh(path: Path | str) -> PoseFile:
     """Read a BVH file: one person, the place of every joint and of every end site (`PARENT_end`).
@@ -267,15 +275,12 @@ def _places(motion: BvhMotion) -> Array:
     place = np.zeros((T, J, 3))
     turn = np.zeros((T, J, 3, 3))
     for j, joint in enumerate(motion.joints):
-        local = np.broadcast_to(np.array(joint.offset), (T, 3)).copy()
+        local = motion.place_in_parent(joint)
         R = np.broadcast_to(np.eye(3), (T, 3, 3))
         for c, name in enumerate(joint.channels, start=joint.first_channel):
-            values = motion.table[:, c]
-            if name.endswith("position"):
-                local[:, "XYZ".index(name[0])] = values
-            else:
+            if name.endswith("rotation"):
                 # One axis at a time: a joint may have any number of rotations in any order.
-                R = R @ Rotation.from_euler(name[0], values[:, None], degrees=True).as_matrix()
+                R = R @ Rotation.from_euler(name[0], motion.table[:, c, None], degrees=True).as_matrix()
         if joint.parent < 0:
             place[:, j], turn[:, j] = local, R
         else:

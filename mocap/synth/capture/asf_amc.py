@@ -75,11 +75,11 @@ def read_amc(path: Path | str, skeleton: Path | str | None = None) -> Recording:
         above = by_name[parent_of[bone.name]]
         offsets[j] = above.direction * above.length
     rotations = np.stack([_turned(bone, values[bone.name]) for bone in [root, *bones]], axis=1)
-    place = np.zeros((len(rotations), 3))
+    places = np.tile(offsets, (len(rotations), 1, 1))
     for i, freedom in enumerate(root.freedoms):
         if freedom in _MOVES:
-            place[:, _MOVES[freedom]] = values["root"][:, i]
-    return Recording(tuple(names), parents, offsets, rotations, place, None)
+            places[:, 0, _MOVES[freedom]] = values["root"][:, i]
+    return Recording(tuple(names), parents, offsets, places, rotations, None)
 
 
 def _values_of_bones(path: Path, by_name: dict[str, _Bone]) -> dict[str, Array]:

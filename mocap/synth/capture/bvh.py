@@ -15,7 +15,7 @@ from mocap.synth.capture.recording import Recording, euler_matrix
 def read_bvh(path: Path | str) -> Recording:
     """The joints and frames of a BVH file, in its own units and axes. End sites are left out.
 
-    Of places only the root's are kept: the offsets of the other joints are the lengths of bones.
+    A joint other than the root may have places of its own, as where the root stays and the hips walk.
     Raises MocapError with the line for a file that cannot be read or understood, or that has no frames.
     """
     path = Path(path)
@@ -23,16 +23,12 @@ def read_bvh(path: Path | str) -> Recording:
     joints = [j for j in motion.joints if not j.is_end]
     if len(motion.table) == 0:
         raise MocapError("0 frames are no motion", path=path, remedy="export the motion as BVH again")
-    offsets = np.array([j.offset for j in joints])
-    root, is_placed = _root_places(joints[0], motion.table)
-    if is_placed:
-        offsets[0] = 0.0  # the channels hold the place itself
     return Recording(
         tuple(j.name for j in joints),
         _parents(motion.joints),
-        offsets,
+        np.array([j.offset for j in joints]),
+        np.stack([motion.place_in_parent(j) for j in joints], axis=1),
         np.stack([_turns(path, j, motion.table) for j in joints], axis=1),
-        root,
         1.0 / motion.frame_s,
     )
 
@@ -43,15 +39,6 @@ def _parents(joints: tuple[BvhJoint, ...]) -> np.ndarray:
     place = np.cumsum([not j.is_end for j in joints]) - 1
     kept = [j for j in joints if not j.is_end]
     return np.array([place[j.parent] if j.parent >= 0 else -1 for j in kept], dtype=np.int64)
-
-
-def _root_places(root: BvhJoint, table: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Places (T, 3) of the root by its channels, zero where it has none, and whether it has any."""
-    places = [(k, c) for k, c in enumerate(root.channels) if c.endswith("position")]
-    xyz = np.zeros((len(table), 3))
-    for k, channel in places:
-        xyz[:, "XYZ".index(channel[0])] = table[:, root.first_channel + k]
-    return xyz, bool(places)
 
 
 def _turns(path: Path, joint: BvhJoint, table: np.ndarray) -> np.ndarray:

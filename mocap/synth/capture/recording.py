@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, Slerp
 
 Array = NDArray[np.float64]
@@ -16,15 +17,15 @@ class Recording:
     """Joints of a capture file in the file's own units and axes.
 
     names : J joint names, parents before children.  parents : (J,) int, -1 for the root.
-    offsets : (J, 3) joint origin in the parent's frame.  rotations : (T, J, 3, 3) local.
-    root_position : (T, 3).  fps : frames per second, None when the file does not say.
+    offsets : (J, 3) joint origin in the parent's frame at rest.  places : (T, J, 3) the same in every frame; of the
+    root, in the world.  rotations : (T, J, 3, 3) local.  fps : frames per second, None when the file does not say.
     """
 
     names: tuple[str, ...]
     parents: NDArray[np.int64]
     offsets: Array
+    places: Array
     rotations: Array
-    root_position: Array
     fps: float | None
 
     @property
@@ -38,31 +39,31 @@ class Recording:
         for j in range(J):
             p = int(self.parents[j])
             if p < 0:
-                position[:, j] = self.root_position + self.offsets[j]
+                position[:, j] = self.places[:, j]
                 rotation[:, j] = self.rotations[:, j]
             else:
-                position[:, j] = position[:, p] + rotation[:, p] @ self.offsets[j]
+                position[:, j] = position[:, p] + np.einsum("tab,tb->ta", rotation[:, p], self.places[:, j])
                 rotation[:, j] = rotation[:, p] @ self.rotations[:, j]
         return position, rotation
 
     def at_rest(self) -> Recording:
-        """One frame with all rotations and the root position at zero."""
+        """One frame with all rotations at zero and all joints at their offsets."""
         eye = np.tile(np.eye(3), (1, len(self.names), 1, 1))
-        return replace(self, rotations=eye, root_position=np.zeros((1, 3)))
+        return replace(self, rotations=eye, places=self.offsets[None])
 
     def sampled(self, frames: Array) -> Recording:
         """The recording at fractional frame numbers (N,); beyond its ends it stands still."""
         at = np.clip(np.asarray(frames, dtype=np.float64), 0, self.n_frames - 1)
         if self.n_frames == 1:
             index = np.zeros(len(at), dtype=int)
-            return replace(self, rotations=self.rotations[index], root_position=self.root_position[index])
+            return replace(self, rotations=self.rotations[index], places=self.places[index])
         times = np.arange(self.n_frames)
         turned = [
             Slerp(times, Rotation.from_matrix(self.rotations[:, j]))(at).as_matrix()
             for j in range(len(self.names))
         ]
-        root = np.column_stack([np.interp(at, times, self.root_position[:, k]) for k in range(3)])
-        return replace(self, rotations=np.stack(turned, axis=1), root_position=root)
+        places = make_interp_spline(times, self.places, k=1)(at)
+        return replace(self, rotations=np.stack(turned, axis=1), places=places)
 
 
 def euler_matrix(axes: str, degrees: Array) -> Array:
