@@ -204,8 +204,10 @@ def standing_things(
     things = _nobody_floats(things, cuts, witness, hands_only=True)
     held = _without(held, changing, _SEAT)
     # What goes from some cameras may have been what others agreed with.
-    held = _agreed(_nobody_floats(_agreed(held, witness), cuts, witness, hands_only=False), witness)
-    things = [found | more for found, more in zip(things, held, strict=True)]
+    agreed = _agreed(_nobody_floats(_agreed(held, witness), cuts, witness, hands_only=False), witness)
+    things = [found | more for found, more in zip(things, agreed, strict=True)]
+    more = _nobodys(_beside(held, things), things, cuts, witness)
+    things = [found | own for found, own in zip(things, more, strict=True)]
     # Somebody who is always before a thing, or behind it, is one piece with it in one camera: two others say where the
     # thing is, and nearly all where he is.
     rest = _beside(always, things)
@@ -231,6 +233,19 @@ def _within(things: Sequence[Mask], others: Sequence[Mask], least: float) -> lis
 def _agreed(things: Sequence[Mask], witness: Witness) -> list[Mask]:
     """Those pieces of the things of each camera that enough of these have in one place."""
     return _within(things, witness.in_some(things, _MUST_AGREE), _A_SAY)
+
+
+def _nobodys(
+    pieces: Sequence[Mask], things: Sequence[Mask], cuts: Sequence[Sequence[Mask]], witness: Witness
+) -> list[Mask]:
+    """Those pieces of each camera that are no part of somebody for nearly all, once things are gone.
+
+    Each camera may have taken another part of a table for one with somebody, so that no three have a thing in one
+    place.
+    """
+    left = [[cut & ~gone for cut in own] for own, gone in zip(cuts, things, strict=True)]
+    persons = witness.agreed([np.logical_and.reduce(own) for own in left])
+    return _nobody_floats(_without(pieces, persons, _A_SAY), left, witness, hands_only=False)
 
 
 def _nobody_floats(

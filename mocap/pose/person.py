@@ -249,7 +249,8 @@ def choose_hypothesis(
     settled = np.array([h.log_likelihood for h in hypotheses])
     if len(clip) < numbers.short_frames:
         return hypotheses[0], settled
-    if len(hypotheses) == 1 or settled[0] > settled[1] + numbers.decisive_nats:
+    decisive = max(numbers.decisive_nats, -numbers.decisive_share * settled[0])
+    if len(hypotheses) == 1 or settled[0] > settled[1] + decisive:
         return hypotheses[0], settled[:1]
     stride = numbers.trial_stride_frames
     brisk = tools.brisk(numbers.trial_layers, numbers.trial_particles, stride, refine=True)

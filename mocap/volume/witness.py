@@ -43,6 +43,7 @@ _OWN_PX = 4  # and what a camera has cut itself and others bear out is, whatever
 # Of the cameras, that may miss a part: trousers as dark as the floor were in five cuts of eight (decision 83,
 # `python -m eval.no_empty_clip`, scene in_place_alike).
 _MINORITY = 0.375
+_MOST = 4  # cameras that outvote one: at the border of the room three of those that look may take a table for a person
 _FEW = 0.125  # that may miss what is certain: none of seven, one of eight
 _NECK_M = 0.05  # around the highest place a head begins
 
@@ -120,8 +121,12 @@ class Witness:
         return self._persons(np.intersect1d(voxels, self._ever, assume_unique=True).astype(np.int32))
 
     def agreed(self, masks: Sequence[Mask]) -> list[Mask]:
-        """What nearly all cameras have in their masks, (H, W) bool per camera, as each of them sees it."""
-        return self._seen(self._carver.carve(masks, n_faulty_views=self._tolerance))
+        """What nearly all cameras have in their masks, (H, W) bool per camera, as each of them sees it; where few look,
+        all of these."""
+        all_of_them = self._carver.carve(masks, n_faulty_views=0)
+        votes = min(_MOST, len(self._rig))
+        nearly_all = self._carver.carve(masks, n_faulty_views=self._tolerance, min_votes=votes)
+        return self._seen(np.union1d(all_of_them, nearly_all).astype(np.int32))
 
     def in_some(self, masks: Sequence[Mask], n_cameras: int) -> list[Mask]:
         """What at least so many cameras have in their masks, (H, W) bool per camera, as each sees it, but for shoes and

@@ -316,6 +316,25 @@ def test_others_say_where_a_thing_ends_and_who_is_beside_it_begins(
     assert seeing != (0,) or gone[0] > 0.85
 
 
+@pytest.mark.parametrize("taking", [(2,), (2, 3)])
+def test_what_hangs_together_with_somebody_in_one_picture_alone_is_nobodys(taking: Sequence[int]) -> None:
+    """One camera, or two, have taken a table for one with somebody who stays before it; the others have it free."""
+    rig, rng = make_rig(), np.random.default_rng(4)
+    tables = box_silhouettes(rig, (-0.5, -0.4, 0.0), (0.5, 0.4, 0.8), 0.03)
+    body = box_silhouettes(rig, (1.2, -0.2, 0.0), (1.5, 0.1, 1.7), 0.03)
+    persons = [grown(seen, 3) for seen in body]
+    keys = [seen_over_a_clip(person, rng) for person in persons]
+    cuts = [
+        [table | seen if c in taking else seen] * 12
+        for c, (table, seen) in enumerate(zip(tables, body, strict=True))
+    ]
+    assert all((tables[c] & persons[c]).any() for c in taking)
+    things = standing_things(cuts, keys, Witness(rig, ROOM, persons))
+    for c, (found, table, person) in enumerate(zip(things, tables, persons, strict=True)):
+        assert not (found & ~table).any()
+        assert (found[table & ~person].mean() > 0.95) == (c in taking)
+
+
 @pytest.mark.parametrize("telling", [(1, 4), (1,)])
 def test_two_cameras_tell_a_third_what_stands_behind_somebody(telling: Sequence[int]) -> None:
     """Shade keeps a cupboard in all cuts of these; the others have it free now and then."""

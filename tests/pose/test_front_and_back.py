@@ -77,6 +77,20 @@ def test_who_walks_faces_the_way_that_he_goes(
     np.testing.assert_allclose(values, [EVIDENCE + 1.0 - lost, EVIDENCE])
 
 
+@pytest.mark.parametrize(
+    ("settled", "decides"), [((-60.0, -86.0), True), ((-60.0, -84.0), False), ((-180.0, -217.0), False)]
+)
+def test_one_frame_decides_by_how_well_it_is_explained(
+    coarse_flesh: Flesh, like_each_other: None, settled: tuple[float, float], decides: bool
+) -> None:
+    """25 nats are much where little is unexplained; where legs are missing seconds have to tell."""
+    clip = clip_of(coarse_flesh, 0.1)
+    hypotheses = [facing(clip, np.pi / 2, settled[0]), facing(clip, -np.pi / 2, settled[1])]
+    best, values = choose_hypothesis(clip, hypotheses, seed=0)
+    assert best is hypotheses[0 if decides else 1]
+    assert len(values) == (1 if decides else 2)
+
+
 @pytest.mark.skipif(not can_fork(), reason="processes are forked on Linux alone")
 @pytest.mark.parametrize("n_threads", [1, 2, 8])
 def test_the_ways_of_a_trial_are_gone_side_by_side(

@@ -168,6 +168,22 @@ def test_what_two_of_six_lack_or_what_is_bare_is_not_sure(lacking: tuple[int, ..
     assert not any(guess.sure.any() for guess in broad(lacking, bare)[1])
 
 
+@pytest.mark.parametrize(
+    ("away", "lacking", "is_agreed"), [((2, 5), (0,), False), ((2, 5), (), True), ((2,), (0,), True)]
+)
+def test_where_four_look_three_of_them_do_not_agree(
+    silhouettes: list[np.ndarray], away: tuple[int, ...], lacking: tuple[int, ...], is_agreed: bool
+) -> None:
+    """One of six may miss a person; at the border of the room, where four look, none of them may."""
+    rig = CameraRig(tuple(facing_away(c) if i in away else c for i, c in enumerate(ring_rig())))
+    seen = [p & (i not in away) for i, p in enumerate(silhouettes)]
+    place = VoxelGrid.from_bounds(np.array([-0.5, -0.8, 0.0]), np.array([0.7, 0.4, 2.0]), 0.04)
+    cuts = [np.zeros_like(p) if i in lacking else p for i, p in enumerate(seen)]
+    found = Witness(rig, place, seen).agreed(cuts)
+    assert (found[1][silhouettes[1]].mean() > 0.9) == is_agreed
+    assert is_agreed or not any(mask.any() for mask in found)
+
+
 def test_cuts_agree_only_where_somebody_was(witness: Witness) -> None:
     """What is as consistent as a person, and was never seen to move, is none: a pillar."""
     pillar = standing_silhouettes(AT + np.array([0.9, 0.6]))
