@@ -238,14 +238,15 @@ def _agreed(things: Sequence[Mask], witness: Witness) -> list[Mask]:
 def _nobodys(
     pieces: Sequence[Mask], things: Sequence[Mask], cuts: Sequence[Sequence[Mask]], witness: Witness
 ) -> list[Mask]:
-    """Those pieces of each camera that are no part of somebody for nearly all, once things are gone.
+    """What of the pieces of each camera is no part of somebody for nearly all, where most of a piece is not.
 
     Each camera may have taken another part of a table for one with somebody, so that no three have a thing in one
     place.
     """
+    persons = witness.agreed([np.logical_and.reduce(list(own)) for own in cuts])
+    nobodys = _beside(_without(pieces, persons, _A_SAY), persons)
     left = [[cut & ~gone for cut in own] for own, gone in zip(cuts, things, strict=True)]
-    persons = witness.agreed([np.logical_and.reduce(own) for own in left])
-    return _nobody_floats(_without(pieces, persons, _A_SAY), left, witness, hands_only=False)
+    return _nobody_floats(nobodys, left, witness, hands_only=False)
 
 
 def _nobody_floats(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap.data import CameraRig, VoxelGrid
-from mocap.volume.carve import Carver
+from mocap.volume.carve import Carver, default_min_views
 from mocap.volume.components import connected_components
 from mocap.volume.lost_legs import lost_legs
 from mocap.volume.residuals import silhouette
@@ -43,7 +43,6 @@ _OWN_PX = 4  # and what a camera has cut itself and others bear out is, whatever
 # Of the cameras, that may miss a part: trousers as dark as the floor were in five cuts of eight (decision 83,
 # `python -m eval.no_empty_clip`, scene in_place_alike).
 _MINORITY = 0.375
-_MOST = 4  # cameras that outvote one: at the border of the room three of those that look may take a table for a person
 _FEW = 0.125  # that may miss what is certain: none of seven, one of eight
 _NECK_M = 0.05  # around the highest place a head begins
 
@@ -121,12 +120,11 @@ class Witness:
         return self._persons(np.intersect1d(voxels, self._ever, assume_unique=True).astype(np.int32))
 
     def agreed(self, masks: Sequence[Mask]) -> list[Mask]:
-        """What nearly all cameras have in their masks, (H, W) bool per camera, as each of them sees it; where few look,
-        all of these."""
-        all_of_them = self._carver.carve(masks, n_faulty_views=0)
-        votes = min(_MOST, len(self._rig))
-        nearly_all = self._carver.carve(masks, n_faulty_views=self._tolerance, min_votes=votes)
-        return self._seen(np.union1d(all_of_them, nearly_all).astype(np.int32))
+        """What nearly all cameras have in their masks, (H, W) bool per camera, as each of them sees it: all but one of
+        five that look there and more, of fewer all. Four outvote one; three may take a table at the border of the room
+        for a person."""
+        votes = default_min_views(len(self._rig))
+        return self._seen(self._carver.carve(masks, n_faulty_views=self._tolerance, min_votes=votes))
 
     def in_some(self, masks: Sequence[Mask], n_cameras: int) -> list[Mask]:
         """What at least so many cameras have in their masks, (H, W) bool per camera, as each sees it, but for shoes and
