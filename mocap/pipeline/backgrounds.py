@@ -206,8 +206,8 @@ def standing_things(
     # What goes from some cameras may have been what others agreed with.
     agreed = _agreed(_nobody_floats(_agreed(held, witness), cuts, witness, hands_only=False), witness)
     things = [found | more for found, more in zip(things, agreed, strict=True)]
-    more = _nobodys(_beside(held, things), things, cuts, witness)
-    things = [found | own for found, own in zip(things, more, strict=True)]
+    nobodys = _nobodys(_beside(held, things), things, always, cuts, witness)
+    things = [found | more for found, more in zip(things, nobodys, strict=True)]
     # Somebody who is always before a thing, or behind it, is one piece with it in one camera: two others say where the
     # thing is, and nearly all where he is.
     rest = _beside(always, things)
@@ -236,14 +236,20 @@ def _agreed(things: Sequence[Mask], witness: Witness) -> list[Mask]:
 
 
 def _nobodys(
-    pieces: Sequence[Mask], things: Sequence[Mask], cuts: Sequence[Sequence[Mask]], witness: Witness
+    pieces: Sequence[Mask],
+    things: Sequence[Mask],
+    always: Sequence[Mask],
+    cuts: Sequence[Sequence[Mask]],
+    witness: Witness,
 ) -> list[Mask]:
     """What of the pieces of each camera is no part of somebody for nearly all, where most of a piece is not.
 
     Each camera may have taken another part of a table for one with somebody, so that no three have a thing in one
-    place.
+    place.  always : what is in all cuts of each camera.
     """
-    persons = witness.agreed([np.logical_and.reduce(list(own)) for own in cuts])
+    if not any(piece.any() for piece in pieces):
+        return list(pieces)
+    persons = witness.agreed(always)
     nobodys = _beside(_without(pieces, persons, _A_SAY), persons)
     left = [[cut & ~gone for cut in own] for own, gone in zip(cuts, things, strict=True)]
     return _nobody_floats(nobodys, left, witness, hands_only=False)

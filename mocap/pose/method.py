@@ -144,7 +144,7 @@ class StartSettings(_Strict):
     """One frame decides alone when its two hypotheses are this far apart."""
     decisive_share: float = 0.3
     """And by this share of what it says against the better one: a body turned round explained a volume without legs
-    better by 37 nats of 180 in one frame, and not at all over six seconds (decision 134)."""
+    better by 37 nats of 180 in one frame, and not at all over its four seconds (decision 134)."""
     clear_facing_nats: float = 3.0
     """Hypotheses that end nearer to each other than this leave the facing open: a warning says so."""
     short_frames: int = 10
