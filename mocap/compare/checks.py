@@ -22,6 +22,18 @@ _LEGS = ("left_ankle", "right_ankle", "left_knee", "right_knee")
 _TOP = ("head", "neck", "left_shoulder", "right_shoulder")
 
 
+def order_warning(side: Side, true_side: Side) -> str | None:
+    """A warning when the estimate is the truth of a session and the truth a run: scores of tracks would be wrong."""
+    if side.folder != side.path / "truth" or true_side.folder is None:
+        return None
+    if not (true_side.folder / "run.json").exists():
+        return None
+    return (
+        f"the estimate, {side.path}, is a session and the truth, {true_side.path}, a run: they are exchanged. "
+        "Remedy: give the run first"
+    )
+
+
 def axis_warning(side: Side) -> str | None:
     """A warning when the body's long axis is not upright most of the time: then the axes are probably wrong."""
     legs, top = ([LANDMARKS.index(n) for n in names] for names in (_LEGS, _TOP))

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mocap.compare.checks import axis_warning, lag_warning, world_warning
+from mocap.compare.checks import axis_warning, lag_warning, order_warning, world_warning
 from mocap.compare.clock import OnOneClock, frames_to_score, on_one_clock
 from mocap.compare.detail import Action, detailed_scores
 from mocap.compare.hulls import lost_limbs, volume_overlap
@@ -90,7 +90,7 @@ def _prepared(estimate: Path, truth: Path, options: CompareOptions) -> _Prepared
         left_out,
         notes + _said(found),
         _said((warning, true_warning)),
-        _said((axis_warning(side), axis_warning(true_side))),
+        _said((order_warning(side, true_side), axis_warning(side), axis_warning(true_side))),
     )
 
 

@@ -206,8 +206,13 @@ def _folder_of_run(out: Path) -> Path:
 
 
 def _no_result(path: Path) -> MocapError:
+    is_session = (path.parent / "session.toml").is_file()
     return MocapError(
-        "the folder holds no result of a run", path=path, remedy="run `mocap run SESSION -o OUT` first"
+        "the folder holds no result of a run",
+        path=path,
+        remedy="it is a session: give the output folder of its run, which comes before the session"
+        if is_session
+        else "run `mocap run SESSION -o OUT` first",
     )
 
 

@@ -82,6 +82,7 @@ def test_the_scene_is_written_again(made: Path, tmp_path: Path, monkeypatch: pyt
 def test_mistakes(made: Path, tmp_path: Path) -> None:
     shutil.copytree(made / "out", tmp_path / "out")
     assert "no result of a run" in mocap("report", tmp_path, made / "session").err
+    assert "comes before the session" in mocap("report", made / "session", tmp_path / "out").err
     path = tmp_path / "out" / "run.json"
     about = json.loads(path.read_text())
     for change, message in (

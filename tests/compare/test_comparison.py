@@ -222,6 +222,18 @@ def test_upside_down_is_seen_too(tmp_path: Path, truth: Path) -> None:
     assert compare(truth, truth).scores["warnings"] == []
 
 
+def test_a_session_before_its_run_is_warned_about(tmp_path: Path) -> None:
+    session, run = tmp_path / "session", tmp_path / "run"
+    for folder in (session / "truth", run):
+        folder.mkdir(parents=True)
+        write_landmarks_csv(folder / "landmarks.csv", [walker()])
+    assert compare(session, session / "truth").scores["warnings"] == []  # one truth against another is meant
+    (run / "run.json").write_text('{"frames": [0, 30]}')
+    assert compare(run, session).scores["warnings"] == []
+    (warning,) = compare(session, run).scores["warnings"]
+    assert "Remedy: give the run first" in warning
+
+
 def test_tracks_come_from_the_landmarks_where_there_is_no_table(tmp_path: Path) -> None:
     people = [walker(1), walker(2, x=2.0)]
     write_landmarks_csv(tmp_path / "t.csv", people)
