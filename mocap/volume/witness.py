@@ -68,8 +68,12 @@ class Witness:
         self._carver = Carver(rig, grid)
         self._tolerance = 1 if len(rig) >= 5 else 0  # cameras that may miss a part; four cannot afford it
         voxels = self._carver.carve(active, n_faulty_views=self._tolerance)
-        voxels = voxels[grid.centers(voxels)[:, 2] > _SHADOW_M]
-        self._ever = self._to_the_floor(self._persons(voxels), _KNEE_M, _FOOT_REACH_M)
+        persons = self._persons(voxels[grid.centers(voxels)[:, 2] > _SHADOW_M])
+        if not self._tolerance:
+            # Furniture may hide somebody's legs from one of them: where the others see something move, they are.
+            others = self._carver.carve(active, n_faulty_views=1)
+            persons = np.union1d(persons, np.intersect1d(self._lost_legs(persons), others)).astype(np.int32)
+        self._ever = self._to_the_floor(persons, _KNEE_M, _FOOT_REACH_M)
 
     def regions(self) -> list[Mask]:
         """Where persons can be in each picture at any time, (H, W) bool per camera."""
@@ -187,10 +191,14 @@ class Witness:
 
     def _whole(self, voxels: Voxels) -> Voxels:
         """The voxels with legs and heads, where those can be missing."""
+        standing = np.union1d(voxels, self._lost_legs(voxels)).astype(np.int32)
+        return self._to_the_crown(self._to_the_floor(standing, _CUT_KNEE_M, _CUT_REACH_M))
+
+    def _lost_legs(self, voxels: Voxels) -> Voxels:
+        """Where legs can be below everybody who hangs in the air."""
         labels, n = connected_components(voxels, self.grid)
         legs = [lost_legs(voxels[labels == k], self.grid) for k in range(n)]
-        standing = np.unique(np.concatenate([voxels, *legs])).astype(np.int32)
-        return self._to_the_crown(self._to_the_floor(standing, _CUT_KNEE_M, _CUT_REACH_M))
+        return np.unique(np.concatenate([voxels[:0], *legs]))
 
     def _to_the_floor(self, voxels: Voxels, knee_m: float, reach_m: float) -> Voxels:
         """The voxels with legs and feet below what reaches below the knee."""

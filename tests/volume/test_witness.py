@@ -67,6 +67,22 @@ def test_feet_that_never_move_are_in_the_region(silhouettes: list[np.ndarray]) -
         assert region[person].mean() > 0.99
 
 
+@pytest.mark.parametrize("some", [(0, 1, 3, 4), (0, 2, 4)])
+def test_legs_that_furniture_hides_from_one_of_few_are_in_the_region(
+    silhouettes: list[np.ndarray], some: tuple[int, ...]
+) -> None:
+    """Of five cameras one may miss them; four and three believe where the others see something move, and not below him
+    where nothing does."""
+    rig = ring_rig().subset([f"c{i}" for i in some])
+    persons = [silhouettes[i] for i in some]
+    hidden = [persons[0] & ~lower_half(persons[0]), *persons[1:]]
+    for region, person in zip(Witness(rig, ROOM, hidden).regions(), persons, strict=True):
+        assert region[person].mean() > 0.97
+    cut_off = [person & ~lower_half(person) for person in persons]
+    for region, person, upper in zip(Witness(rig, ROOM, cut_off).regions(), persons, cut_off, strict=True):
+        assert not region[person & ~grown(upper, 12)].any()
+
+
 def test_a_cut_that_is_off_is_put_right(witness: Witness, silhouettes: list[np.ndarray]) -> None:
     cuts = [s.copy() for s in silhouettes]
     cuts[0][:, 20:] = True
