@@ -26,6 +26,8 @@ from mocap.data import CameraRig
 from mocap.volume import OccluderLearner, masks_by_cells, things_on_floor
 from mocap.volume.occluders import VOXEL_M, painted
 
+COLUMN = np.array([[0.3, -0.2, 0.0], [0.6, 0.1, 1.7]])
+LOWER = np.array([COLUMN[0], [*COLUMN[1, :2], 1.1]])
 WOOD = (70.0, 60.0, 160.0)
 MAT_AT, MAT_M = np.array([-0.6, 0.4]), 0.5
 # Somebody keeps to his place behind it, where others do not come.
@@ -63,6 +65,33 @@ def test_what_stands_is_found_before_anybody_walks(cameras: range) -> None:
     assert inside(points, BOX, 2 * VOXEL_M if len(cameras) > 4 else 0.3).mean() > 0.95
     # In the middle of what it is, and half of it: cameras look at its upper edge against the wall.
     assert inside(points, BOX).sum() * VOXEL_M**3 > 0.4 * np.prod(np.ptp(BOX, axis=0))
+
+
+@pytest.mark.parametrize("cameras", [range(6), range(5), range(4)])
+def test_a_column_is_told_up_to_its_top(cameras: range) -> None:
+    """Its upper half is seen against walls alone, by all cameras, and leans in their pictures."""
+    points = things(COLUMN, cameras=cameras)
+    assert inside(points, COLUMN).sum() * VOXEL_M**3 > 0.87 * np.prod(np.ptp(COLUMN, axis=0))
+    assert points[:, 2].max() < COLUMN[1, 2] + 0.1
+    upper = points[points[:, 2] > 1.0]
+    assert inside(upper, COLUMN, 0.15).mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("others", "alpha", "goes_on"), [((3,), 255, False), ((3,), 0, True), ((2, 3), 0, False)]
+)
+def test_three_cameras_see_a_column_go_on_and_none_something_else(
+    others: tuple[int, ...], alpha: int, goes_on: bool
+) -> None:
+    """One shows the wall above its lower half, or one or two do not know what is there."""
+    seen = [empty(i, COLUMN) for i in range(4)]
+    for i in others:
+        eye, rays = rays_of(i)
+        upper = np.isfinite(hit_box(eye, rays, COLUMN)) & ~np.isfinite(hit_box(eye, rays, LOWER))
+        seen[i][upper.reshape(SIZE[::-1])] = [*[min(200 * LIGHT[i], 255)] * 3, alpha]
+    rig = CameraRig(tuple(ring_rig())[:4])
+    points = things_on_floor(rig, ROOM, seen)
+    assert ((points[:, 2] > LOWER[1, 2] + 0.1).sum() > 100) == goes_on
 
 
 def test_an_empty_room_holds_nothing() -> None:
